@@ -80,8 +80,8 @@ class StressSums:
 
             F + k/(k + n - 1) (<F> - F)
 
-        counts, with the mean <F> over `NEIGHBOUR_SIDE` places: of many pairs the place itself, of few its
-        surroundings.
+        counts, with the mean <F> over `NEIGHBOUR_SIDE` places a side: with many pairs the place itself, with few
+        what is around.
         """
         more = np.diagonal(self.covariance, axis1=-2, axis2=-1) - self.noise
         known = np.isfinite(more)

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from correction.grid import PlaneGrid, grid_of
+from correction.self_check.knocks import Knock
 from daq.errors import RunUsageError
 from daq.runs.names import main_run
 from ground.terminal import console
@@ -22,7 +23,7 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE, MEAN
 from rtpiv.analysis.series.series_input import SeriesInput, keep_scene, series_input
 from rtpiv.analysis.series.series_view import SeriesView
-from rtpiv.analysis.series.sheet_of_views import set_sheet, sheet_of_views
+from rtpiv.analysis.series.sheet_of_views import knock_of_views, set_sheet, sheet_of_views
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.paths import Named, paths_of
@@ -43,6 +44,11 @@ APART = (
 )
 MOVED = "view {} ({}) explains it: what its camera shows is {:.3f} mm from its place; calibrate this camera again"
 
+KNOCKED = (
+    "{} was knocked {}; calibrate again, and evaluate the pairs from {} on with that scene: the map is right for"
+    " one side alone"
+)
+
 
 @dataclass(frozen=True)
 class Together:
@@ -58,11 +64,15 @@ class Together:
     branches : bool
         Places that a camera sees twice, such as directly and through a ball, are two views of it: they give w from
         one camera. Of runs and frames, not of series.
+    knocks : bool
+        Look for a pair before which a ball, a camera or the light sheet was knocked, by the disparity of views at
+        the same time; not for series.
     """
 
     simultaneous: bool = False
     sheet: bool = False
     branches: bool = False
+    knocks: bool = False
 
 
 def join(
@@ -141,11 +151,11 @@ def join(
             return found
 
         given = inputs(scenes or [None] * len(paths))
+        if (how.sheet or how.knocks) and (not at_once or len(given) < len(paths)):
+            raise RunUsageError(
+                "--sheet and --knocks compare frames at the same time: give runs or frames, and --simultaneous"
+            )
         for _ in range(SHEET_ROUNDS if how.sheet else 0):  # a plane that is nearer changes the slopes
-            if not at_once or len(given) < len(paths):
-                raise RunUsageError(
-                    "--sheet compares frames at the same time: give runs or frames, and --simultaneous"
-                )
             moved = sheet_of_views(given)
             at_last, given = set_sheet(given, moved), inputs([folder / SCENE_FILE for folder in folders])
             screen.print(f"{at_last.summary}, from {moved.places} places")
@@ -154,6 +164,8 @@ def join(
             if moved.moved is not None:
                 view = paths[moved.moved]
                 screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
+        if how.knocks:
+            show_knock(screen, knock_of_views(given), [pair.tag for pair in given[0].given.pairs])
         made = [SeriesView(folder) for folder in folders if (folder / FILE).is_file() and folder in paths]
         seen = [(view.scene, view.about["glass"]) for view in made]
         seen += [(each.method.scene, each.given.glass) for each in given]
@@ -175,6 +187,18 @@ def join(
             screen.print(joined.warning, style="bold red")
         screen.print(f"look at {out / PAGE}")
         return joined
+
+
+def show_knock(screen: Console, found: Knock | None, pairs: Sequence[str]) -> None:
+    """Name what was knocked, and the pairs across it."""
+    if found is None:
+        screen.print("no ball, camera or light sheet was knocked between pairs by more than chance")
+        return
+    what = " or ".join(found.names)
+    if found.names[0].startswith("ball"):
+        what += " by ({:+.0f}, {:+.0f}, {:+.0f}) um".format(*(1e3 * found.move))
+    between = f"between the pairs {pairs[found.before]} and {pairs[found.after]}"
+    screen.print(KNOCKED.format(what, between, pairs[found.after]), style="bold red", soft_wrap=True)
 
 
 def add_second_views(

@@ -7,8 +7,11 @@ from itertools import chain, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.light_sheet.two_cameras import SheetByViews, fit_sheet, name_moved
+from correction.grid import PlaneGrid
+from correction.light_sheet.two_cameras import POSE_SIGMA, SheetByViews, fit_sheet, name_moved
 from correction.maps.slant import vector_slopes
+from correction.self_check.knocks import Candidate, Knock, find_knock, min_pairs
+from correction.self_check.moved_sphere import MOVE_PRIOR_MM
 from daq.atomic_write import write_text
 from ground.terminal import progress
 from piv.correlation.pair import evaluate_pair
@@ -24,6 +27,8 @@ from tracer.strategies.sensitivity import landings
 STRANGERS = 2.0  # sigma that no sheet explains, from which a camera is asked for that was moved
 MOST_FRAMES = 100  # that are compared, of both pulses
 COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
+POSE = tuple(f"camera.{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
+SHEET_SIGMA = np.array([0.3, 0.003, 0.003])  # mm, and slopes: of a move of the light sheet that is looked for
 Floats = NDArray[np.float64]
 
 
@@ -43,26 +48,20 @@ def sheet_of_views(series: Sequence[SeriesInput]) -> SheetByViews:
         No frames of two views match.
     """
     first, *others = series
-    corrector = correction_of(first.out / "maps", first.method).corrector
-    grid, settings = corrector.map.grid, first.method.settings
-    windows = settings.result_grid(grid.shape)
+    grid, places = _places(first)
+    windows = first.method.settings.result_grid(grid.shape)
     slopes = [_slopes(each) for each in series]
-    centres = np.stack(np.meshgrid(windows.x_px, windows.y_px), axis=-1)
     parts = list[tuple[Floats, Floats, Floats, Floats]]()
-    rates = [_pose_rates(each).reshape(-1, 2, 6) for each in series]
-    nothing = np.zeros_like(rates[0])
-    by_pose = [[rates[0]] + [nothing] * len(others) for _ in others]
-    for number, (other, slope) in enumerate(zip(others, slopes[1:], strict=True)):
-        by_pose[number][number + 1] = -rates[number + 1]
+    for other, slope in zip(others, slopes[1:], strict=True):
         disparity, sigma = _disparity(first, other)
-        parts.append((grid.to_mm(centres), disparity * grid.pitch_mm, sigma * grid.pitch_mm, slope - slopes[0]))
+        of_mm = disparity * grid.pitch_mm, sigma * grid.pitch_mm
+        parts.append((places, *of_mm, slope - slopes[0]))
     place, apart, unsure, slope = (np.concatenate([part[k].reshape(-1, 2) for part in parts]) for k in range(4))
     independent = min(1.0, (windows.step_px / windows.size_px) ** 2)
     found = fit_sheet(place, apart, unsure, slope, independent, COMMON_PX * grid.pitch_mm)
     if not found.residual_sigma > STRANGERS:
         return found
-    of_views = [np.concatenate([part[k] for part in by_pose]) for k in range(len(series))]
-    return name_moved(found, (place, apart, unsure, slope), of_views, independent)
+    return name_moved(found, (place, apart, unsure, slope), _of_poses(series), independent)
 
 
 def set_sheet(series: Sequence[SeriesInput], found: SheetByViews) -> LightSheet:
@@ -82,14 +81,26 @@ def _slopes(series: SeriesInput) -> Floats:
     return vector_slopes(found, method.scene, windows, method.settings.window_sigma)
 
 
-def _pose_rates(series: SeriesInput) -> Floats:
-    """Derivatives (ny, nx, 2, 6) of the places that windows show by position and rotation of the camera."""
+def _rates(series: SeriesInput, names: Sequence[str]) -> Floats:
+    """Derivatives (N, 2, P) of the places that windows show by numbers of the scene."""
     found = correction_of(series.out / "maps", series.method).corrector.map
     windows = series.method.settings.result_grid(found.grid.shape)
     pixels = found.pixel[0][np.ix_(*(np.rint(axis).astype(int) for axis in (windows.y_px, windows.x_px)))]
-    seen, rates = np.isfinite(pixels).all(axis=-1), np.full((*pixels.shape, 6), np.nan)
-    rates[seen] = landings(series.method.scene, pixels[seen].astype(np.float64)).rate[:, :, :6]
-    return rates
+    seen, rates = np.isfinite(pixels).all(axis=-1), np.full((*pixels.shape, len(names)), np.nan)
+    rates[seen] = landings(series.method.scene, pixels[seen].astype(np.float64)).columns(names)
+    return rates.reshape(-1, 2, len(names))
+
+
+def _of_poses(series: Sequence[SeriesInput]) -> list[Floats]:
+    """Derivatives of all disparities by the pose of each camera."""
+    first, *others = (_rates(each, POSE) for each in series)
+    nothing = np.zeros_like(first)
+    found = [np.concatenate([first] * len(others))]
+    for number, rates in enumerate(others):
+        parts = [nothing] * len(others)
+        parts[number] = -rates
+        found.append(np.concatenate(parts))
+    return found
 
 
 def _frames(series: SeriesInput) -> Iterator[NDArray[np.float32] | str]:
@@ -100,24 +111,36 @@ def _frames(series: SeriesInput) -> Iterator[NDArray[np.float32] | str]:
             yield frame if isinstance(frame, str) else corrector(frame)
 
 
-def _disparity(first: SeriesInput, other: SeriesInput) -> tuple[Floats, Floats]:
-    """Displacement (ny, nx, 2) [px], y up, from one view to another, and its random uncertainty."""
-    count = min(MOST_FRAMES, 2 * len(first.given.pairs), 2 * len(other.given.pairs))
+def _disparities(first: SeriesInput, other: SeriesInput, count: int) -> Iterator[tuple[Floats, Floats] | str]:
+    """Displacements (ny, nx, 2) [px], y up, from one view to another, frame by frame, and their uncertainty."""
     seen = [correction_of(each.out / "maps", each.method).corrector.recovered for each in (first, other)]
-    weight = total = square = np.zeros(())
-    number, why = 0, ""
+    settings = replace(first.method.settings, denoise=0.0)  # what glass does has detail that is weaker than noise
     frames = zip(islice(_frames(first), count), islice(_frames(other), count), strict=True)
     for a, b in progress(frames, count, "comparing the views"):
         try:
             if isinstance(a, str) or isinstance(b, str):
                 raise FrameError(a if isinstance(a, str) else str(b))
-            field = evaluate_pair(a, b, seen[0] & seen[1], first.method.settings)
+            field = evaluate_pair(a, b, seen[0] & seen[1], settings)
         except (PairError, FrameError) as error:
-            why = str(error)
+            yield str(error)
             continue
         uv = np.stack((field.u_px, -field.v_px), axis=-1)
-        one = 1.0 / np.square(np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1))
-        one = np.where(field.valid[..., None] & np.isfinite(uv * one), one, 0.0)
+        sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+        yield np.where(field.valid[..., None], uv, np.nan), sigma
+
+
+def _disparity(first: SeriesInput, other: SeriesInput) -> tuple[Floats, Floats]:
+    """Mean of the displacements, and its random uncertainty."""
+    count = min(MOST_FRAMES, 2 * len(first.given.pairs), 2 * len(other.given.pairs))
+    weight = total = square = np.zeros(())
+    number, why = 0, ""
+    for found in _disparities(first, other, count):
+        if isinstance(found, str):
+            why = found
+            continue
+        uv, sigma = found
+        one = 1.0 / np.square(sigma)
+        one = np.where(np.isfinite(uv * one), one, 0.0)
         uv = np.where(one > 0.0, uv, 0.0)
         number += 1
         weight, total, square = weight + one, total + one * uv, square + one * uv**2
@@ -128,3 +151,59 @@ def _disparity(first: SeriesInput, other: SeriesInput) -> tuple[Floats, Floats]:
         # Stated noise, or the scatter of the pairs where that is more.
         scatter = np.maximum(square / weight - mean**2, 0.0) / max(number - 1, 1)
         return mean, np.sqrt(np.maximum(1.0 / weight, scatter))
+
+
+def knock_of_views(series: Sequence[SeriesInput]) -> Knock | None:
+    """Look for a pair before which a ball, a camera or the light sheet was knocked; None if there is none.
+
+    Parameters
+    ----------
+    series : sequence of SeriesInput
+        As for `sheet_of_views`.
+
+    Raises
+    ------
+    PairError
+        There are too few pairs to know how much positions scatter by chance.
+    """
+    first, *others = series
+    grid, places = _places(first)
+    candidates = _candidates(series, places)
+    pairs, least = min(len(each.given.pairs) for each in series), min_pairs(candidates)
+    if pairs < least:
+        raise PairError(f"--knocks needs {least} pairs or more, not {pairs}")
+    parts = []
+    for other in others:
+        found = _disparities(first, other, 2 * pairs)
+        both = np.full((2 * pairs, len(places), 2), np.nan)
+        for number, one in enumerate(found):
+            if not isinstance(one, str):
+                both[number] = one[0].reshape(-1, 2)
+        of_pulses = both.reshape(pairs, 2, -1, 2)
+        parts.append(of_pulses.mean(axis=1) * grid.pitch_mm)
+    return find_knock(np.concatenate(parts, axis=1), candidates)
+
+
+def _places(series: SeriesInput) -> tuple[PlaneGrid, Floats]:
+    """Grid of the corrected frames, and the places (N, 2) [mm] of its windows."""
+    grid = correction_of(series.out / "maps", series.method).corrector.map.grid
+    windows = series.method.settings.result_grid(grid.shape)
+    centres = np.stack(np.meshgrid(windows.x_px, windows.y_px), axis=-1)
+    return grid, grid.to_mm(centres).reshape(-1, 2)
+
+
+def _candidates(series: Sequence[SeriesInput], places: Floats) -> list[Candidate]:
+    """Cameras, the balls that all views know, and the light sheet: each may be knocked."""
+    found = [
+        Candidate(f"the camera of view {number}", rates, POSE_SIGMA)
+        for number, rates in enumerate(_of_poses(series), start=1)
+    ]
+    balls = [{ball.name for ball in each.method.scene.spheres} for each in series]
+    for name in sorted(set.intersection(*balls)):
+        own, *their = (_rates(each, [f"{name}.{axis}" for axis in "xyz"]) for each in series)
+        rates = np.concatenate([own - one for one in their])
+        found.append(Candidate(f"ball {name}", rates, np.full(3, MOVE_PRIOR_MM)))
+    slopes = [_slopes(each).reshape(-1, 2) for each in series]
+    height = np.column_stack((np.ones(len(places)), places))
+    rates = np.concatenate([-(one - slopes[0])[..., None] * height[:, None, :] for one in slopes[1:]])
+    return [*found, Candidate("the light sheet", rates, SHEET_SIGMA)]
