@@ -33,7 +33,7 @@ def cut_px(
     grid: WindowGrid,
     side_px: int,
     window_sigma: float,
-    noise_px: Floats | float = 0.0,
+    noise_px: Floats | None = None,
 ) -> Floats:
     """Standard deviation (ny, nx) of a component by light that lies beside the middle of windows.
 
@@ -49,8 +49,8 @@ def cut_px(
         Side of the windows.
     window_sigma : float
         See `piv.correlation.refine.window_weights`.
-    noise_px : ndarray of float64, shape (ny, nx), or float
-        Standard deviation of the noise of a component that is still in the vectors; 0 after the noise filter.
+    noise_px : ndarray of float64, shape (ny, nx), optional
+        Standard deviation of the noise of a component that is still in the vectors; none after the noise filter.
     """
     if valid.min() >= 1.0:
         return np.zeros(grid.shape)
@@ -58,8 +58,10 @@ def cut_px(
     apart = max(1, round(0.5 * side_px / grid.step_px))
     bent = second_differences(vectors, apart)
     # Beyond the mask all is a plane: what bends is seen half a window to the other side.
-    near = np.square(scipy.ndimage.maximum_filter(bent, 2 * apart + 1)) - np.square(NOISE_BEND * noise_px)
-    near = np.sqrt(np.maximum(near, 0.0)) / (apart * grid.step_px)
+    near = scipy.ndimage.maximum_filter(bent, 2 * apart + 1)
+    if noise_px is not None:
+        near = np.sqrt(np.maximum(np.square(near) - np.square(NOISE_BEND * noise_px), 0.0))
+    near = near / (apart * grid.step_px)
     slopes = [np.gradient(vectors, grid.step_px, axis=axis) for axis in range(2) if vectors.shape[axis] > 1]
     slope = np.sqrt(sum((np.square(part).sum(axis=-1) for part in slopes), np.zeros(grid.shape)) / 2.0)
     return np.asarray(beside * (OF_BEND * near + OF_GRADIENT * slope))

@@ -372,7 +372,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         # them: part of the cut counts.
         seen, given = course.frames.valid, course.frames.given
         around = seen if given is None else seen + np.float32(RIM_CUT) * (given - seen)
-        rough = 0.0 if settings.denoise > 0.0 else np.nan_to_num(np.sqrt(np.square(sigma).mean(axis=-1)))
+        is_rough = settings.denoise == 0.0  # noise is still in the vectors
+        rough = np.nan_to_num(np.sqrt(np.square(sigma).mean(axis=-1))) if is_rough else None
         cut = (cut_px(final, around, grid, side, settings.window_sigma, rough) for side in sizes.sides_px)
         parts = np.hypot(parts, sizes.pick(list(cut)))
     fill, near = fill_gaps(vectors, good)

@@ -36,8 +36,8 @@ def cut(bend, noise_px):
 
 
 def test_noise_is_no_bend():
-    assert cut(0.0, NOISE) < 0.4 * cut(0.0, 0.0)
+    assert cut(0.0, NOISE) < 0.4 * cut(0.0, None)
 
 
 def test_bends_of_the_flow_stay():
-    assert cut(1.0, NOISE) == pytest.approx(cut(1.0, 0.0), rel=0.1)
+    assert cut(1.0, NOISE) == pytest.approx(cut(1.0, None), rel=0.1)
