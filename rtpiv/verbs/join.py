@@ -165,7 +165,8 @@ def join(
                 view = paths[moved.moved]
                 screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
         if how.knocks:
-            show_knock(screen, knock_of_views(given), [pair.tag for pair in given[0].given.pairs])
+            tags = [pair.tag for pair in given[0].given.pairs]
+            show_knock(screen, knock_of_views(given), tags)
         made = [SeriesView(folder) for folder in folders if (folder / FILE).is_file() and folder in paths]
         seen = [(view.scene, view.about["glass"]) for view in made]
         seen += [(each.method.scene, each.given.glass) for each in given]

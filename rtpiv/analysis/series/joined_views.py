@@ -29,7 +29,7 @@ Files of chunks hold u, v, w, sigma_u ... total_sigma_w, views and chi of each p
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain, islice
 from pathlib import Path
@@ -232,24 +232,19 @@ def _systematic(views: Sequence[_View], found: ThreeComponents, noise: Floats, u
 
 
 def _combine(
-    views: Sequence[_View],
-    uv: Floats,
-    noise: Floats,
-    resolution: Floats,
-    sigma_w: Sequence[Floats],
-    limits: _Limits,
+    views: Sequence[_View], uv: Floats, noise: Floats, resolution: Floats, sigma_w: Sequence[Floats], how: _Limits
 ) -> _Fit:
     """Combine vectors (n, ny, nx, 2) with the variance of their noise; `resolution` (n, ny, nx) is a sigma."""
     slope = np.stack([view.slope for view in views])
-    unresolved = (np.square(np.nan_to_num(resolution)) + limits.sampling**2)[..., None]
+    unresolved = (np.square(np.nan_to_num(resolution)) + how.sampling**2)[..., None]
     variance = noise + unresolved + np.stack([view.map_variance for view in views])
     known = np.isfinite(sigma_w)
     typical = np.sqrt(np.where(known, np.square(sigma_w), 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     # Everywhere where the filter may make w sure enough, then where it has done so.
-    wide = combine_views(uv, variance, slope, typical, limits.sigma_w / limits.filter.least)
+    wide = combine_views(uv, variance, slope, typical, how.sigma_w / how.filter.least)
     wide_noise = _noise_of(wide, noise)
-    w = limits.filter.filter_w(wide.uvw[..., 2], wide_noise[..., 2, 2])
-    known_w = wide.has_w & (wide.covariance[..., 2, 2] - wide_noise[..., 2, 2] + w[1] + w[2] <= limits.sigma_w**2)
+    w = how.filter.filter_w(wide.uvw[..., 2], wide_noise[..., 2, 2])
+    known_w = wide.has_w & (wide.covariance[..., 2, 2] - wide_noise[..., 2, 2] + w[1] + w[2] <= how.sigma_w**2)
     if np.count_nonzero(known_w) >= MIN_W_PLACES:  # w is as large elsewhere as where it is measured
         size = np.mean(np.square(wide.uvw[known_w, 2]) - wide.covariance[known_w, 2, 2])
         typical = np.maximum(typical, np.sqrt(max(float(size), 0.0)))
@@ -306,14 +301,20 @@ def join_views(
     limits = _Limits(limit_px * per_px, NoiseFilter.of(settings[0], first.step_px, beta), sampling)
     uv, sigma = np.stack([mean.mean_m_s for mean in means]), np.stack([mean.sigma_m_s for mean in means])
     # Cameras at the same time see the same fluctuations: between them the noise of vectors counts alone.
-    noise = np.stack([mean.moments.noise for mean in means]) if at_once else np.square(sigma)
+    noise = np.stack([mean.moments.noise for mean in means])
+    beyond = np.zeros_like(noise)
+    if not at_once:  # each view has its own fluctuations, of which no filter takes anything
+        noise = np.minimum(noise / np.stack([mean.count for mean in means])[..., None], sigma**2)
+        beyond = sigma**2 - noise
     sigma_w = [
         view.mean.out_of_plane.of_mean(view.field(*each)) for view, *each in zip(views, uv, sigma, strict=True)
     ]
-    fit = _combine(views, uv, noise, np.stack([mean.resolution_m_s for mean in means]), sigma_w, limits)
+    varied = [replace(view, map_variance=view.map_variance + own) for view, own in zip(views, beyond, strict=True)]
+    fit = _combine(varied, uv, noise, np.stack([mean.resolution_m_s for mean in means]), sigma_w, limits)
     samples = np.min([np.nan_to_num(m.effective.samples, nan=np.inf).min(axis=-1) for m in means], axis=0)
-    uvw, random, varying, sums = fit.found.uvw, _variance(fit.noise), np.zeros(3), None
-    kind, systematic, w = fit.found, fit.systematic, fit.w
+    uvw, random, sums = fit.found.uvw, _variance(fit.noise), None
+    varying = fit.found.propagate(beyond)
+    kind, systematic, w = fit.found, fit.systematic - varying, fit.w
     tests, chi2, freedom = fit.tests, fit.found.chi2, fit.found.freedom
     if at_once:
         sums = PairSums(fit.found.uvw)

@@ -86,8 +86,10 @@ def _rates(series: SeriesInput, names: Sequence[str]) -> Floats:
     found = correction_of(series.out / "maps", series.method).corrector.map
     windows = series.method.settings.result_grid(found.grid.shape)
     pixels = found.pixel[0][np.ix_(*(np.rint(axis).astype(int) for axis in (windows.y_px, windows.x_px)))]
-    seen, rates = np.isfinite(pixels).all(axis=-1), np.full((*pixels.shape, len(names)), np.nan)
-    rates[seen] = landings(series.method.scene, pixels[seen].astype(np.float64)).columns(names)
+    seen = np.isfinite(pixels).all(axis=-1)
+    rates = np.full((*pixels.shape, len(names)), np.nan)
+    rays = landings(series.method.scene, pixels[seen].astype(np.float64))
+    rates[seen] = rays.columns(names)
     return rates.reshape(-1, 2, len(names))
 
 
@@ -114,19 +116,21 @@ def _frames(series: SeriesInput) -> Iterator[NDArray[np.float32] | str]:
 def _disparities(first: SeriesInput, other: SeriesInput, count: int) -> Iterator[tuple[Floats, Floats] | str]:
     """Displacements (ny, nx, 2) [px], y up, from one view to another, frame by frame, and their uncertainty."""
     seen = [correction_of(each.out / "maps", each.method).corrector.recovered for each in (first, other)]
+    valid = seen[0] & seen[1]
     settings = replace(first.method.settings, denoise=0.0)  # what glass does has detail that is weaker than noise
     frames = zip(islice(_frames(first), count), islice(_frames(other), count), strict=True)
     for a, b in progress(frames, count, "comparing the views"):
         try:
             if isinstance(a, str) or isinstance(b, str):
                 raise FrameError(a if isinstance(a, str) else str(b))
-            field = evaluate_pair(a, b, seen[0] & seen[1], settings)
+            field = evaluate_pair(a, b, valid, settings)
         except (PairError, FrameError) as error:
             yield str(error)
             continue
         uv = np.stack((field.u_px, -field.v_px), axis=-1)
+        uv = np.where(field.valid[..., None], uv, np.nan)
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
-        yield np.where(field.valid[..., None], uv, np.nan), sigma
+        yield uv, sigma
 
 
 def _disparity(first: SeriesInput, other: SeriesInput) -> tuple[Floats, Floats]:
@@ -202,8 +206,10 @@ def _candidates(series: Sequence[SeriesInput], places: Floats) -> list[Candidate
     for name in sorted(set.intersection(*balls)):
         own, *their = (_rates(each, [f"{name}.{axis}" for axis in "xyz"]) for each in series)
         rates = np.concatenate([own - one for one in their])
-        found.append(Candidate(f"ball {name}", rates, np.full(3, MOVE_PRIOR_MM)))
+        prior = np.full(3, MOVE_PRIOR_MM)
+        found.append(Candidate(f"ball {name}", rates, prior))
     slopes = [_slopes(each).reshape(-1, 2) for each in series]
     height = np.column_stack((np.ones(len(places)), places))
-    rates = np.concatenate([-(one - slopes[0])[..., None] * height[:, None, :] for one in slopes[1:]])
+    steeper = [(one - slopes[0])[..., None] for one in slopes[1:]]
+    rates = np.concatenate([-more * height[:, None, :] for more in steeper])
     return [*found, Candidate("the light sheet", rates, SHEET_SIGMA)]
