@@ -15,5 +15,5 @@ def is_run(path: Path) -> bool:
 
 def main_run(path: Path) -> Path:
     """Return the run that the folder of a further camera lies in; of any other folder itself."""
-    path = path.resolve()
+    path = Path(os.path.realpath(path))  # unlike `resolve`, no error at a loop of links
     return path.parents[1] if path.parent.name == CAMERAS else path

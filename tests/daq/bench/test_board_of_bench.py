@@ -45,7 +45,7 @@ def test_a_bench_has_the_board_of_its_file_with_the_scale_of_the_print(tmp_path)
     ("target", "printed", "words"),
     [
         ({"board": "none.yaml"}, None, r"none\.yaml"),
-        ({"board": "board.yaml", "square_mm": 5.0}, PRINTED, "leave square_mm out"),
+        ({"board": "board.yaml", "square_mm": 5.0}, PRINTED, "remove square_mm"),
         ({"board": "board.yaml"}, PRINTED.model_copy(update={"square_mm": None}), "needs square_mm"),
         (
             {"board": "board.yaml"},

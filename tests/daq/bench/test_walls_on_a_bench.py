@@ -150,7 +150,7 @@ def test_a_tube_is_hollow(tmp_path):
     with pytest.raises(Obstructed, match=r"would bring tube to 1\.\d+ mm from the target"):
         guard_of(bench).check([way(bench, "glass_x", 73.0)])
     assert [one for one in seen(bench, into) if one.one == "tube"]
-    with pytest.raises(StageUsageError, match=r"the target stands [\d.]+ mm deep in 'tube'"):
+    with pytest.raises(StageUsageError, match=r"the target is [\d.]+ mm deep in 'tube'"):
         guard_of(
             load_bench(
                 bench_file(tmp_path / "wide", around, carried_by="glass", keep_out="target_size_mm: [220, 60, 5]")

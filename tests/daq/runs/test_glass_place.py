@@ -49,7 +49,7 @@ def test_glass_that_was_moved_in_between_is_refused(tmp_path):
 
 def test_a_run_that_does_not_say_is_damaged(tmp_path):
     run, frames = run_with(tmp_path, [None])
-    with pytest.raises(RunDamaged, match="does not say where 'glass_z' was"):
+    with pytest.raises(RunDamaged, match="lacks the position of 'glass_z'"):
         glass_place_mm(run, frames)
 
 

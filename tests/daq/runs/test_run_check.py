@@ -98,7 +98,7 @@ def test_every_run_is_looked_at_before_the_verdict(done_run, whole_run, tmp_path
     shown = capsys.readouterr()
     assert "frames/000002.tif is missing" in " ".join(shown.out.split())
     assert "all 8 are what was written" in shown.out
-    assert "isnorunfolder" in re.sub(r"[\s│]", "", shown.out)  # a table breaks a long path anywhere
+    assert "isnotarunfolder" in re.sub(r"[\s│]", "", shown.out)  # a table breaks a long path anywhere
     assert str(whole_run.path) not in shown.err
 
 

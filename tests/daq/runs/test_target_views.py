@@ -52,7 +52,7 @@ def test_no_height_is_too_small_to_be_seen(tmp_path):
 def test_a_bench_or_a_place_that_cannot_be_read_is_one_sentence(tmp_path):
     with pytest.raises(RunDamaged, match="its bench cannot be read"):
         target_views(run_of(tmp_path, [("clear", 3.0, 3.0)], bench="name: bench\n"))
-    with pytest.raises(RunDamaged, match="frame 0 does not say where 'target_x' was"):
+    with pytest.raises(RunDamaged, match="frame 0 lacks the position of 'target_x'"):
         target_views(run_of(tmp_path, [("clear", 3.0, 3.0)], bench=BENCH))
 
 
@@ -102,7 +102,7 @@ def test_a_run_keeps_its_board_file_and_the_scale_of_the_print(tmp_path):
     for paths, told, words in (
         ([run], {"board": tmp_path / "new.yaml"}, "another board"),
         ([run, other], {}, "keeps no board file"),
-        ([run], {"square_mm": 3.0}, "leave square_mm out"),
+        ([run], {"square_mm": 3.0}, "omit square_mm"),
     ):
         with pytest.raises(BoardError, match=words):
             board_of(paths, **told)

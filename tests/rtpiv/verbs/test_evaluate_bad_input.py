@@ -83,8 +83,13 @@ def test_the_removed_route_is_one_sentence(good, tmp_path, capsys):
 
 def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
     scene, frames = good
-    other = render(load_scene(scene), print_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
-    assert evaluate(tmp_path, scene, (frames[0], other)) == DONE
+    strangers = [
+        render(load_scene(scene), print_particles((180.0, 180.0), 1.1, seed=k), Sensor(), seed=k + 1)
+        for k in (2, 6)
+    ]
+    assert evaluate(tmp_path, scene, (frames[0], strangers[0])) == USAGE  # of these not one window matches
+    assert "no window gave a vector that its own correlation supports; check" in capsys.readouterr().err
+    assert evaluate(tmp_path, scene, (frames[0], strangers[1])) == DONE
     said = " ".join(capsys.readouterr().out.split())
     assert "no better than unrelated pictures, so no vector is valid" in said
     assert "check that they are one pair" in (tmp_path / "out" / "report.html").read_text()
