@@ -116,7 +116,7 @@ def link_said(bench: Bench, steps: Iterable[Step]) -> str:
     if carried:
         return f"link: {most.sentence} of {carried / 1e6:.1f}"
     fits = [name for name in MBITS if most.bytes_s <= link_capacity_bytes_s(section.settings, name)]  # type: ignore[arg-type]
-    return f"link: {most.sentence}; Ethernet that carries it: {fits[0] if fits else 'none'} (say camera.link)"
+    return f"link: {most.sentence}; Ethernet that carries it: {fits[0] if fits else 'none'} (set camera.link)"
 
 
 def require_link(bench: Bench, steps: Iterable[Step], camera_settings: Mapping[str, Setting]) -> None:

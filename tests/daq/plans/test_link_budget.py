@@ -66,7 +66,7 @@ def test_what_fits_is_allowed(tmp_path, link):
 def test_an_unknown_link_is_believed_and_its_need_said(tmp_path):
     need, refused = said(tmp_path, BIG)
     assert not refused
-    assert "Ethernet that carries it: 2.5GigE (say camera.link)" in need
+    assert "Ethernet that carries it: 2.5GigE (set camera.link)" in need
 
 
 def test_check_says_it_with_the_file(tmp_path):
