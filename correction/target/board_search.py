@@ -30,13 +30,12 @@ from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.codes import Marker, place_by_codes, read_markers, square_px, why_mirrored, why_no_codes
 from correction.target.evidence import View, squares_off, turn_and_scale, wrong_size
 from correction.target.lattice_fit import (
-    LEAST_BOARD,
     MOST_FOREIGN,
     BoardDetection,
     holds_discs,
     measure_lattice,
 )
-from correction.target.lattice_growth import Patch, lattice_axes
+from correction.target.lattice_growth import LEAST_BOARD, Patch, lattice_axes
 from correction.target.marks import find_marks, grow_marks
 from correction.target.scale_search import crossing_corners, find_patches
 from correction.target.size_seen import CLEARLY_OFF, size_seen

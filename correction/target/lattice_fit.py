@@ -16,12 +16,11 @@ from correction.target.board_origin import Placing
 from correction.target.chessboard import QUARTER_TURNS, Chessboard
 from correction.target.corners import CornerSearch
 from correction.target.evidence import contradiction, wrong_size
-from correction.target.lattice_growth import STEPS, Patch, lattice_axes
+from correction.target.lattice_growth import LEAST_BOARD, STEPS, Patch, lattice_axes
 from correction.target.marks import refine_marks
 from correction.target.scale_search import crossing_corners
 from correction.target.smooth_view import as_the_largest_piece_says, on_smooth_map
 
-LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
 MOST_FOREIGN = 0.2  # of the corners may lie off the smooth view of the others
 MISFIT_TIMES, LEAST_MISFIT = 5.0, 0.05  # of the median residual of all corners; of the half contrast, at least
 UNSURE_TIMES, LEAST_UNSURE_PX = (

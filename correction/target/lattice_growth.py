@@ -38,6 +38,7 @@ MIN_SADDLE_STRENGTH = 0.06  # of the strength of the strongest corners
 TOLERANCE, TOLERANCE_ON_PLATE = 0.28, 0.18
 COS_EDGE = 0.9  # edges of neighbours agree to 25 degrees
 MIN_PATCH_CORNERS = 9  # a patch smaller than this is chance
+LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
 STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 NEAREST_SADDLES = 13  # nearest saddles looked at around a seed
 SEED_COSINE = 0.97  # of a seed: cosine between an edge and the way to a neighbour

@@ -18,12 +18,20 @@ from numpy.typing import NDArray
 
 from correction.target.chessboard import Chessboard
 from correction.target.corners import ARM_LENGTH, MIN_HALF_WINDOW_PX, half_widths_px
-from correction.target.lattice_growth import MIN_PATCH_CORNERS, Patch, coarse_saddles, grow_patches
+from correction.target.lattice_growth import (
+    LEAST_BOARD,
+    MIN_PATCH_CORNERS,
+    Patch,
+    coarse_saddles,
+    grow_patches,
+)
 from correction.target.marks import find_marks, grow_marks
 
 COARSER_PX = 24.0, 48.0, 96.0  # squares for which copies of the frame are made
 # Times that copies for dots are smaller
 COARSER_DOTS = 2, 4
+# Of the dots found, that a board holds at least for no copy to be searched
+MIN_DOTS_SHARE = 0.5
 COARSE_ERROR = 0.3  # of the shrinkage: how far corners of a copy may be off in the frame [px]
 COARSER_GAIN = 1.02  # of the corners of a finer scale that a coarser one must show at least
 KNOWN_SQUARES = 0.3  # from a known corner: the same corner
@@ -44,11 +52,13 @@ def find_patches(
     frame, board, mask, square_px
         As of `find_marks`; with `square_px` only its scale is searched.
     """
-    best = grow_marks(find_marks(frame, board, mask, square_px))
-    if board.dots is not None and square_px is None:
-        return _dots_in_copies(frame, board, mask, best)
+    marks = find_marks(frame, board, mask, square_px)
+    best = grow_marks(marks)
     if square_px is not None:
         return best
+    if board.dots is not None:
+        is_full = bool(best) and _is_full(best[0], len(marks))
+        return best if is_full else _dots_in_copies(frame, board, mask, best)
     counts = [_count_corners(frame, board, patch) for patch in best]
     most = max(counts, default=0)
     for side_px in COARSER_PX:
@@ -63,6 +73,15 @@ def find_patches(
             best, counts, most = patches, seen, max(seen)
     order = sorted(range(len(best)), key=lambda n: -counts[n])
     return [best[n] for n in order]
+
+
+def _is_full(patch: Patch, dots: int) -> bool:
+    """Return whether a patch holds most dots of the frame, and more dots than its hull has squares."""
+    import cv2
+
+    count = len(patch.index)
+    squares = cv2.contourArea(cv2.convexHull(patch.index.astype(np.float32)))
+    return count >= max(LEAST_BOARD, MIN_DOTS_SHARE * dots, squares)
 
 
 def _dots_in_copies(
