@@ -8,7 +8,7 @@ d0 from where the dot was looked for.  Ten numbers are free: p, L (three), the b
 light. Pixels up to PAPER_MARGIN_PX beyond the rim are asked, none farther than half a pitch along either axis, so
 that no other dot is among them; least squares by Levenberg and Marquardt, all dots of a size at once.  The
 covariance of p is the sandwich of MacKinnon and White (HC3; J. Econometrics 29, 305 (1985)) with the residuals of
-the dot itself.
+the dot itself.  On a plate half of the width that a shadow takes from one side is added.
 
 What is found is the centre of the picture of a dot, which is not the picture of its centre: bent glass, and
 perspective, shift it, and the fit takes that off from where rays of its rim land (`correction.fit.seen.dot_rims`).
@@ -41,6 +41,8 @@ DOTS_AT_ONCE = 96
 RIM_MARGIN_PX = 1.5  # beyond the rim of a dot that must be seen
 SIZE = 0.6, 1.6  # area of a dot as found over that of the dot which should be there
 MIN_CONTRAST = 1e-3  # of the span of the frame: saturated paper is fitted perfectly by a dot of no contrast
+# Of the radius, that a dot may look narrower one way; and sigmas of its centre on top
+UNROUND, SURE_CUT = 0.03, 4.0
 BLURRED = 1.5  # of the variance of the blur, that the edge of a small dot may lie elsewhere
 
 
@@ -88,6 +90,8 @@ def refine_dots(
     order = np.flatnonzero(asked)
     order = order[np.argsort(extent[order], kind="stable")]
 
+    shadow = np.zeros((count, 3))
+
     def rows(first: int, last: int) -> None:
         for begin in range(first, last, DOTS_AT_ONCE):
             some = order[begin : min(begin + DOTS_AT_ONCE, last)]
@@ -95,6 +99,8 @@ def refine_dots(
             if dots.levels == "staggered":
                 batch.ask_row()
             out[some], verdict[some] = batch.fit(search.max_shift)
+            if dots.levels:
+                shadow[some] = batch.shadow_covariance(out[some])
 
     run_rows(rows, len(order), block=DOTS_AT_ONCE)
     amplitude = out[:, 7]
@@ -108,6 +114,9 @@ def refine_dots(
         misfit = ~(residual <= LARGEST_RESIDUAL) | ~((size > SIZE[0] - rough) & (size < SIZE[1] + rough))
         verdict[fitted & misfit] = CornerReason.MISFIT
         verdict[fitted & ((amplitude > 0.0) != dots.bright)] = CornerReason.INVERTED
+    if dots.levels:  # last: a dot in shadow is less certain, but no reason to refuse a frame
+        out[:, 2:5] += shadow
+        sigma = np.sqrt(out[:, 2:4])
     return CornerFit.of_rows(out, verdict, sigma, residual, amplitude.copy())
 
 
@@ -193,6 +202,22 @@ class _Batch:
         verdict[number < 2 * DOT_NUMBERS] = CornerReason.SMALL
         out[~np.isin(verdict, (CornerReason.OK,))] = np.nan
         return out, verdict
+
+    def shadow_covariance(self, out: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return uu, vv, uv (n, 3) [px^2] of shadows over one side of a dot, zero where it is as wide as expected.
+
+        A dot is cut where it is narrower one way than the other, against the axes of the lattice; its centre is
+        then aside by half of the missing width.
+        """
+        a, b, c = self.free[:, 2:5].T
+        expected = self.axes * (0.5 * self.share)[:, None, None]
+        cut = np.stack((a, b, b, c), axis=-1).reshape(-1, 2, 2) @ expected
+        _, scales, ways = np.linalg.svd(cut)
+        missing = 1.0 / scales[:, 1] - 1.0 / scales[:, 0]
+        half = np.einsum("nij,nj->ni", expected, ways[:, 0]) * missing[:, None]
+        noise = np.sqrt((out[:, 2] + out[:, 3]) / np.abs(np.linalg.det(expected)))
+        half[~(missing > UNROUND + SURE_CUT * noise)] = 0.0
+        return np.stack((half[:, 0] ** 2, half[:, 1] ** 2, half[:, 0] * half[:, 1]), axis=-1)
 
     def _start_levels(self) -> None:
         """Least-squares A and B for the start geometry."""

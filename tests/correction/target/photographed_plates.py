@@ -1,7 +1,8 @@
 """Photographs of plates on two levels by ray tests of their own, which share no line with the simulator.
 
-White dots on black, rows staggered by half a pitch, every second row at the bottom of a groove with walls; oblique
-light with shadows, soft edges, a reflection, uneven light, things in front, blur, noise, and JPEG for most.
+White dots on black, or black ones on white, rows staggered by half a pitch, every second row at the bottom of
+a groove with walls; oblique light with shadows, soft edges, a reflection, uneven light, things in front, blur,
+noise, and JPEG for most.
 """
 
 from dataclasses import dataclass
@@ -69,12 +70,13 @@ class Made:
     square: tuple
     triangle: tuple
     mark: float
+    bright_dots: bool = True
 
     @property
     def board(self):
         words = {"kind": "dots", "pitch_mm": self.pitch, "dot_mm": self.dot, "rows": "staggered", "levels": "rows"}
         marks = {"square": list(self.square), "triangle": list(self.triangle)}
-        return PrintedBoard(**words, bright_dots=True, step_mm=self.step, marks_mm=marks).board()
+        return PrintedBoard(**words, bright_dots=self.bright_dots, step_mm=self.step, marks_mm=marks).board()
 
     def nearest_row(self, y, parity):
         half = self.pitch / 2
@@ -82,7 +84,7 @@ class Made:
         return np.where(row.astype(int) % 2 == parity, row, np.where(y / half > row, row + 1, row - 1))
 
     def cover(self, x, y, parity, soft):
-        """Share of white at places on the level of rows of one parity."""
+        """Reflectance, 0 to 1, at places on the level of rows of one parity."""
         half, row = self.pitch / 2, self.nearest_row(y, parity)
         off = np.where(row.astype(int) % 2 == 0, 0, half)
         beside = x - off - np.rint((x - off) / self.pitch) * self.pitch
@@ -96,7 +98,7 @@ class Made:
             else:
                 inside = np.minimum(dy + 0.6 * width, (1.2 * width - dy - np.sqrt(3) * dx) / 2)
             white = np.maximum(white, np.clip(inside / soft + 0.5, 0, 1))
-        return white
+        return white if self.bright_dots else 1.0 - white
 
 
 def place_of_mark(rng, pitch):
@@ -104,7 +106,7 @@ def place_of_mark(rng, pitch):
     return (int(rng.integers(-2, 2)) + 0.5) * pitch + (pitch / 2 if row % 2 else 0), row * pitch / 2
 
 
-def photograph(seed):
+def photograph(seed, bright_dots=True):
     """A frame (H, W) uint8 by its number, the plate in it, the view, and the style of the light."""
     rng, style = np.random.default_rng((seed, 4711)), STYLES[seed % 7]
     width = int(rng.choice([720, 900, 1100]))
@@ -117,7 +119,7 @@ def photograph(seed):
     while triangle == square:
         triangle = place_of_mark(rng, pitch)
     sign = 1 if rng.random() < 0.7 else -1
-    made = Made(pitch, step * sign, dot, square, triangle, rng.uniform(0.85, 1.4))
+    made = Made(pitch, step * sign, dot, square, triangle, rng.uniform(0.85, 1.4), bright_dots)
     across = rng.uniform(16, 24) if style == "small" else rng.uniform(6.5, 15)
     tilt, roll, k1 = rng.uniform(0, 40), np.deg2rad(rng.uniform(-8, 8)), rng.uniform(-0.4, 0.3)
     view = view_at(rng, (width, height), pitch, across, tilt, roll, k1)

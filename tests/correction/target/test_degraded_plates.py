@@ -7,11 +7,15 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
+import scipy
 
 from correction.errors import TargetNotFound
 from correction.target.board_search import find_board
+from correction.target.corners import CornerSearch
+from correction.target.dot_centres import refine_dots
 from tests.correction.target.drawn_plates import drawn
 from tests.correction.target.photographed_plates import photograph
+from tracer.board import Dots
 
 SEED = 13  # staggered rows on two levels, a square and a triangle
 
@@ -76,3 +80,26 @@ def test_of_18_photographed_plates_none_is_wrong_and_15_are_found():
         verdicts["right" if np.median(off) < 1.0 else aside] += 1
     assert not verdicts["wrong"], verdicts
     assert verdicts["right"] >= 15, verdicts
+
+
+@pytest.mark.parametrize("cut", [None, 0.35])
+def test_a_dot_half_in_shadow_has_an_uncertainty_of_the_missing_width(cut):
+    pitch, radius, at = 30.0, 6.0, np.array((40.3, 39.6))
+    v, u = np.indices((80, 80))
+    light = scipy.special.ndtr((radius - np.hypot(u - at[0], v - at[1])) / 0.8)
+    if cut is not None:
+        light *= scipy.special.ndtr((at[0] + cut * radius - u) / 0.8)
+    frame = 20.0 + 180.0 * light + np.random.default_rng(1).normal(0.0, 2.0, light.shape)
+    axes, share = np.diag((pitch, -pitch))[None], np.array([2.0 * radius / pitch])
+    dots = Dots(2.0, bright=True, levels="rows", step_mm=1.0)
+    usable, search = np.ones((1, 1), np.uint8), CornerSearch()
+    fit = refine_dots(frame.astype(np.float32), np.rint(at)[None], axes, share, dots, usable, search)
+    off, sigma = np.abs(fit.position_px[0] - at), fit.sigma_px[0]
+    assert fit.valid[0]
+    assert (off < 4.0 * sigma).all()
+    if cut is None:
+        assert sigma.max() < 0.03
+    else:
+        assert off[0] > 1.0
+        assert sigma[0] < 2.0 * off[0]
+        assert sigma[1] < 0.1
