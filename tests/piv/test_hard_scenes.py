@@ -26,7 +26,7 @@ UNTOLD = {"wall 0.08, texture 50 %", "bar 0.1, texture 50 %", "dark disc", "blac
 
 
 class Judged(NamedTuple):
-    """Numbers of vectors: valid, wrong by 1 px, far beyond sigma, in bodies; and the share of fluid with one."""
+    """Numbers of vectors: valid, wrong by 1 px, far beyond sigma, in bodies; and share of the fluid with one."""
 
     valid: int
     wrong: int
@@ -46,6 +46,8 @@ def judge(scene, field):
     size, solid, valid = np.linalg.norm(off, axis=-1), scene.solid[at], field.valid
     deep = scipy.ndimage.distance_transform_edt(scene.solid)[at] > DEEP_PX
     over = np.abs(off / field.total_sigma_px).max(axis=-1)
+    # Between pixels, one of which is solid, a vector stands on the edge or in the body: none is owed there.
+    clear = scipy.ndimage.map_coordinates(scene.solid.astype(float), (y, x), order=1) == 0.0
     if scene.hopeless:
         return Judged(*(int(valid.sum()),) * 4, 0.0)
     fluid = valid & ~solid
@@ -54,7 +56,7 @@ def judge(scene, field):
         int((fluid & (size > 1.0)).sum()),
         int((fluid & (size > 0.3) & (over > 5.0)).sum()),
         int((valid & deep).sum()),
-        float(fluid.sum() / (~solid).sum()),
+        float((valid & clear).sum() / clear.sum()),
     )
 
 
