@@ -42,7 +42,7 @@ from correction.fit.solve.contact import clear_of, push_apart
 from correction.fit.solve.solver import Solution
 from correction.fit.solve.unknowns import Unknowns, lens_reach, unknowns_of
 from correction.target.board_search import Predict, corners_in_view
-from correction.target.lattice_fit import LEAST_BOARD
+from correction.target.lattice_growth import LEAST_BOARD
 from correction.target.size_seen import size_seen
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
