@@ -164,14 +164,8 @@ class _Follower:
         left = freedom - size + 1.0
         result = np.tile((0.0, 1.0), (count, 1))
         for first in range(MIN_SIDE, count - MIN_SIDE + 1):
-            before, after = found[max(first - MEAN_PAIRS, 0) : first], found[first : first + MEAN_PAIRS]
-            step = after.mean(axis=0) - before.mean(axis=0)
-            square = (
-                step
-                @ np.linalg.pinv(self.covariance(found, first))
-                @ step
-                / (1.0 / len(before) + 1.0 / len(after))
-            )
+            step, share = _step(found, first)
+            square = step @ np.linalg.pinv(self.covariance(found, first)) @ step / share
             ratio = square * left / (freedom * size)
             result[first] = square, scipy.special.fdtrc(size, left, ratio)
         return result

@@ -34,7 +34,7 @@ class VectorFlag(IntEnum):
     """Validity of a vector.  Image mask (pixels) and these flags (vectors) are kept apart."""
 
     VALID = 0  # measured
-    MASKED = 1  # too few valid pixels in the window: not a vector, NaN
+    MASKED = 1  # too few valid pixels in the window, or on the edge of a mask: NaN
     REPLACED = 2  # rejected as an outlier, the value is interpolated from valid neighbours
     REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
     STILL = 4  # a wall or a reflection, whose light stands still beside a flow, or no particles: no vector, NaN

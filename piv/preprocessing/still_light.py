@@ -242,10 +242,7 @@ def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_
         return found
     around = (4 * LEAK_PX + 1, 4 * LEAK_PX + 1)
     square = LETTER_PX2, LETTER_PX2
-    body = np.maximum(
-        cv2.blur(within.astype(np.float32), around),
-        1e-3,
-    )
+    body = np.maximum(cv2.blur(within.astype(np.float32), around), 1e-3)
     for frame in _numbers(frames, usable):
         some = frame[::3, ::3][valid[::3, ::3]]
         ground, deviation = (np.float32(part) for part in (np.median(some), some.std()))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # uu, vv, ww, uv, uw, vw
 NEIGHBOUR_SIDE = 7  # places a side over which variances of few pairs are averaged
-NEIGHBOUR_FREEDOM = 8.0  # degrees of freedom that their mean is worth
+NEIGHBOUR_FREEDOM = 8.0  # degrees of freedom of their mean
 Floats = NDArray[np.float64]
 
 
