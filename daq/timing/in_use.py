@@ -55,10 +55,11 @@ class OffRequest:
         return self._path is None or not self._path.exists()
 
     def confirm(self) -> None:
-        """Write that everything reads back as off."""
+        """Write that everything reads back as off, into a request that still stands."""
         if self._path is not None:
-            with suppress(OSError):
-                self._path.write_text(CONFIRMED, encoding="ascii")
+            # "r+" makes no file: a person may have released the laser meanwhile, which would be undone
+            with suppress(OSError), self._path.open("r+", encoding="ascii") as file:
+                file.write(CONFIRMED)
 
     def is_confirmed(self) -> bool:
         """Return whether the process has written that everything reads back as off."""

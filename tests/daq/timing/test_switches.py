@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from daq.bench.opened import open_bench
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow
+from daq.timing.in_use import OffRequest
 from daq.timing.opened import open_laser
 from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
@@ -296,3 +297,13 @@ def seconds_after_watchdog():
         with pytest.raises(LaserStopped, match="watchdog"):
             laser.wait()
     return lit_s
+
+
+def test_a_confirmation_that_comes_late_undoes_no_release(tmp_path):
+    request = OffRequest(tmp_path / f"{os.getpid()}-0.off")
+    request.make()
+    request.confirm()
+    assert request.is_confirmed()
+    request.close()  # a person releases the laser while the thread of the switches still reads back
+    request.confirm()
+    assert request.is_closed()
