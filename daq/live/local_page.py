@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from typing import Any
 
 from websockets.datastructures import Headers
@@ -27,6 +28,7 @@ TOKEN_S = 5.0  # until who has said nothing yet is left
 MOST_THREADS = 1600  # two and more a socket: fewer than the 1024 files that a process may have open
 OUR_FAULTS = "connection handler failed", "process_request failed"  # what strangers send is not for the terminal
 POLICY = 1008  # close code
+FOLDER = files("daq.live") / "page"
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,13 @@ class LocalPage:
     socket_path : str
         Where sockets are opened.
     pages : mapping
-        Path -> file in the folder `page`, and its type.
+        Path -> file, and its type.
     """
 
     token: str
     port: int
     socket_path: str
-    pages: Mapping[str, tuple[str, str]]
+    pages: Mapping[str, tuple[Traversable, str]]
 
     @property
     def addresses(self) -> tuple[str, str]:
@@ -72,9 +74,8 @@ class LocalPage:
             return None
         if request.path not in self.pages:
             return _refusal(HTTPStatus.NOT_FOUND, "there is no such page")
-        name, kind = self.pages[request.path]
-        content = files("daq.live").joinpath("page", name).read_bytes()
-        return _response(HTTPStatus.OK, content, kind, self.addresses)
+        file, kind = self.pages[request.path]
+        return _response(HTTPStatus.OK, file.read_bytes(), kind, self.addresses)
 
     def let_in(self, connection: ServerConnection) -> dict[str, Any] | None:
         """Return the first message of a viewer who knows the token; None, and the socket closed, for all others.
@@ -91,6 +92,13 @@ class LocalPage:
             return said
         connection.close(POLICY, "open the address that the run has printed")
         return None
+
+
+def page_files(document: str, script: str, folder: Traversable = FOLDER) -> dict[str, tuple[Traversable, str]]:
+    """Return the files of a page for `LocalPage`: document and script in a folder, and the common style."""
+    named = {"/": folder / document, "/page.css": FOLDER / "page.css", f"/{script}": folder / script}
+    kinds = (f"text/{kind}; charset=utf-8" for kind in ("html", "css", "javascript"))
+    return dict(zip(named, zip(named.values(), kinds, strict=True), strict=True))
 
 
 class Connection(ServerConnection):

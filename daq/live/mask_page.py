@@ -22,20 +22,16 @@ from websockets.sync.server import ServerConnection
 
 from correction.masked import pixels_in
 from daq.atomic_write import why
-from daq.live.local_page import LocalPage, listening, parse_message
+from daq.live.local_page import LocalPage, listening, page_files, parse_message
+from daq.live.picture import grey_bytes
 from ground.whole_file import whole_file
 from tracer.masked import LEFT_OUT, MaskedPart, Point
 
 SOCKET = "/outlines"
-PAGES = {
-    "/": ("mask.html", "text/html; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/mask.js": ("mask.js", "text/javascript; charset=utf-8"),
-}
+PAGES = page_files("mask.html", "mask.js")
 MAX_MESSAGE_BYTES = 4_000_000  # of a message
 MOST_OUTLINES, MOST_POINTS = 1000, 100_000
 MAX_OUTLINE_PX = 1e6  # no outline needs to go so far beside the frame
-DARK, BRIGHT = 1.0, 99.7  # percentiles of what is shown from black to white
 
 
 class MaskPage:
@@ -64,7 +60,7 @@ class MaskPage:
         self, name: str, frame: NDArray[Any], path: Path, begun: tuple[MaskedPart, ...] = (), port: int = 0
     ) -> None:
         self._name, self._shape, self._path = name, frame.shape, path
-        self._shown = _bytes_of(frame)
+        self._shown = grey_bytes(frame)
         self._outlines = [part.outline_px for part in begun]
         self._token = secrets.token_urlsafe(24)
         self._server = listening(self._show, self._answer, port, MAX_MESSAGE_BYTES)
@@ -139,11 +135,3 @@ def _point(pair: object) -> Point | None:
         -MAX_OUTLINE_PX <= u <= MAX_OUTLINE_PX and -MAX_OUTLINE_PX <= v <= MAX_OUTLINE_PX
     )  # no number that is none, and none without end
     return (float(u), float(v)) if inside else None
-
-
-def _bytes_of(frame: NDArray[Any]) -> bytes:
-    """The frame as it is shown, one byte a pixel, row by row."""
-    low, high = np.percentile(frame, (DARK, BRIGHT))
-    scaled = (frame.astype(np.float32) - low) * (255.0 / max(high - low, 1e-9))
-    shown: NDArray[np.uint8] = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
-    return shown.tobytes()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 LEAST_PX, LARGEST_PX = 64, 1008  # side of what is sent
 SATURATED = 65535  # as sent
 NOTHING = 0  # as sent: nothing is recovered here
+DARK, BRIGHT = 1.0, 99.7  # percentiles of a still frame that is shown from black to white
 HEAD = struct.Struct("<4sIIIHHfHH16s")  # magic, number, left, top, width, height, pixels a pixel, columns, name
 
 
@@ -134,3 +135,12 @@ def white_of(words: Mapping[str, Any]) -> int:
     """Value of a saturated pixel, from the bits that the camera says; corrected pixels have the camera's."""
     bits = words.get("bits")
     return (1 << bits) - 1 if isinstance(bits, int) and 1 <= bits <= 16 else SATURATED
+
+
+def grey_bytes(frame: NDArray[Any]) -> bytes:
+    """Still frame (H, W) from black to white, one byte a pixel, row by row; black where it is NaN."""
+    grey = frame.astype(np.float32)
+    low, high = np.nanpercentile(grey, (DARK, BRIGHT)) if np.isfinite(grey).any() else (0.0, 1.0)
+    scaled = (np.nan_to_num(grey, nan=low) - low) * (255.0 / max(high - low, 1e-9))
+    shown: NDArray[np.uint8] = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
+    return shown.tobytes()

@@ -27,7 +27,7 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection
 
 from daq.live.frame_quality import FrameQuality
-from daq.live.local_page import LocalPage, listening, parse_message
+from daq.live.local_page import LocalPage, listening, page_files, parse_message
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, picture_bytes, room_px, white_of
 from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
 from daq.pipeline.priority import lower_process
@@ -37,11 +37,7 @@ if TYPE_CHECKING:
     from daq.live.monitor import Monitor
 
 SOCKET = "/frames"
-PAGES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-}
+PAGES = page_files("index.html", "page.js")
 MOST_VIEWERS = 64
 MOST_KEPT = 16  # pictures, of up to 2 MB
 MOST_WORDS = 4096  # bytes of a message from a browser

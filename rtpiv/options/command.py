@@ -31,6 +31,7 @@ VARIANTS = {  # options that make another function of a verb, with other options
     "calibrate": {"--join": "calibrate_cameras"},
     "mean": {"--join": "join", "--at": "timeseries", "--line": "timeseries"},
     "doctor": {"--probe": "probe"},
+    "report": {"--view": "view"},
 }
 RENAMED = {  # until the next release
     "resume": "acquire --resume", "join": "mean --join", "timeseries": "mean", "devices": "doctor",
