@@ -296,15 +296,27 @@ def computed_against_acquired(
     return figures, corners.pixel[mine], error
 
 
-def corrected_against_grid(scenes: Sequence[Scene], image: NDArray[Any], board: Chessboard) -> list[TargetError]:
-    """Sense 2: correct a frame of the target at z = 0 with each scene and measure it."""
+def corrected_against_grid(
+    scenes: Sequence[Scene], image: NDArray[Any], board: Chessboard
+) -> tuple[list[TargetError], tuple[NDArray[np.float32], Corrector]]:
+    """Sense 2: correct a frame of the target at z = 0 with each scene and measure it.
+
+    Returns
+    -------
+    list of TargetError
+        One a scene.
+    (ndarray of float32, Corrector)
+        The frame as the last scene corrects it.
+    """
+    last: list[tuple[NDArray[np.float32], Corrector]] = []
 
     def corrected() -> Iterator[tuple[NDArray[np.float32], Corrector]]:
         for scene in scenes:
             corrector = prepare(scene).corrector
-            yield corrector(image), corrector
+            last[:] = [(corrector(image), corrector)]
+            yield last[0]
 
-    return target_errors(corrected(), board)
+    return target_errors(corrected(), board), last[0]
 
 
 def _figures(region: str, error: NDArray[np.float64]) -> RegionErrors:

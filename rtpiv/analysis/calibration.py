@@ -21,6 +21,7 @@ from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.unknowns import unit_of
 from correction.fitted.map_sigma import MapSigma
 from rtpiv.analysis.digits import two_digits
+from rtpiv.analysis.pictures.before_after import layers_of
 from rtpiv.analysis.through_glass import ThroughGlass, through_scene
 
 HARMLESS_PX = 0.05  # of the map, at the median: correlated numbers move nothing that vectors would show
@@ -46,6 +47,9 @@ class Calibration:
         What the frames left open.
     seconds : float
         The fit took.
+    layers : tuple of (str, str)
+        Name and data address of pictures of the frame through glass, as acquired and corrected; empty without a
+        frame at z = 0.
     """
 
     fit: SceneFit
@@ -55,6 +59,7 @@ class Calibration:
     panels: list[Panel]
     weak: list[Weakness]
     seconds: float
+    layers: tuple[tuple[str, str], ...] = ()
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
@@ -167,11 +172,14 @@ def calibration_of(fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame]
     senses: dict[str, list[RegionErrors]] = {}
     grids: dict[str, TargetError] = {}
     panels: list[Panel] = []
+    layers: tuple[tuple[str, str], ...] = ()
     for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:
         number = fit.frames.index(frame.name)
         scenes = {"nominal glass": aligned(fit), "fitted": fit.scene}
-        grids = dict(zip(scenes, corrected_against_grid([*scenes.values()], frame.image, fit.board), strict=True))
+        errors, (corrected, corrector) = corrected_against_grid([*scenes.values()], frame.image, fit.board)
+        grids = dict(zip(scenes, errors, strict=True))
+        layers = layers_of(frame.image, corrected, corrector)
         for name, scene in scenes.items():
             senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, fit.board)
             panels.append((f"{name}, computer-generated minus acquired", pixel, error))
-    return Calibration(fit, sigma, senses, grids, panels, weaknesses(fit), seconds)
+    return Calibration(fit, sigma, senses, grids, panels, weaknesses(fit), seconds, layers)

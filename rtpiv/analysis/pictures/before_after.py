@@ -55,13 +55,9 @@ def before_after(
     frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, scene: Scene, full_scale: float
 ) -> BeforeAfter:
     """Look at a frame (H, W) as acquired, with its full scale, and (h, w) as corrected, NaN where nothing is."""
-    low, high = np.percentile(frame, (1.0, 99.0))
-    limits = (float(low), float(high))
     name = PLAIN if tells_a_scale_alone(scene) else CORRECTED
     status = corrector.status
-    pictures: dict[str, Callable[[], NDArray[np.uint8]]] = {name: lambda: tint(grey(corrected, limits), status)}
-    if frame.shape == corrected.shape:
-        pictures = {"acquired": lambda: grey(frame, limits), **pictures}
+    pictures = _pictures(frame, corrected, corrector, name)
     if name == CORRECTED or (status != NodeStatus.RECOVERED).any():
         pictures["mask"] = lambda: mask_picture(status)
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
@@ -76,6 +72,25 @@ def before_after(
     layers = tuple(zip(pictures, found[len(images) :], strict=True))
     through = through_glass(scene, corrector.map.grid, corrector.recovered)
     return BeforeAfter(layers, shares, full_scale, figures, through)
+
+
+def layers_of(
+    frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector
+) -> tuple[tuple[str, str], ...]:
+    """Return the layers of `BeforeAfter` for a frame as acquired and corrected, without the mask."""
+    pictures = _pictures(frame, corrected, corrector, CORRECTED)
+    return tuple(zip(pictures, map_parts(_small_picture, [*pictures.values()]), strict=True))
+
+
+def _pictures(
+    frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, name: str
+) -> dict[str, Callable[[], NDArray[np.uint8]]]:
+    """Drawings of a frame as acquired, if it is of the size of the corrected one, and as corrected."""
+    low, high = np.percentile(frame, (1.0, 99.0))
+    limits = (float(low), float(high))
+    status = corrector.status
+    acquired = {"acquired": lambda: grey(frame, limits)} if frame.shape == corrected.shape else {}
+    return acquired | {name: lambda: tint(grey(corrected, limits), status)}
 
 
 def _small_picture(drawn: Callable[[], NDArray[np.uint8]]) -> str:

@@ -46,15 +46,19 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     page = Page(f"{of}: calibration", f"{quantity(len(fit.frames), 'frame')} of the target")
     recovered = np.isfinite(found.sigma.sigma_px[..., 0])
     through_lead(page, found.through, fit.measured_scene, float(recovered.mean()))
+    verdict = StoredVerdict.of(fit)
+    _say_verdict(page, verdict)
     page.lead(*calibration_lead(found))
+    if len(found.layers) > 1:
+        page.slider(found.layers, "The board as acquired, and corrected by the fitted scene. Drag to compare.")
     with page.row():
         said = "Standard uncertainty of the map [px of a corrected frame], both axes together."
         page.figure("map_sigma", map_sigma_figure(found.sigma, fit.measured_scene), said, dense=True)
-        figure = smooth_figure(StoredVerdict.of(fit), "first")
+        figure = smooth_figure(verdict, "first")
         if figure is not None:
             said = "Smooth part of the residuals of the largest view; the other views stand below."
             page.figure("smooth_first", figure, said, dense=True)
-    verdict_chapter(page, StoredVerdict.of(fit), "others")
+    _smooth_residuals(page, verdict, "others")
     mask_table(page, fit.measured_scene)
     if found.weak:
         page.heading("Undetermined parameters")
@@ -91,12 +95,21 @@ def calibration_lead(found: Calibration) -> tuple[str, Table]:
     return value, Table(said, head, rows)
 
 
-def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "others"] = "all") -> None:
-    """The verdict in words and its picture, without the view that a page has shown already."""
+def verdict_chapter(page: Page, found: StoredVerdict) -> None:
+    """The verdict in words, and its picture."""
     page.heading("Calibration: test of the model")
+    _say_verdict(page, found)
+    _smooth_residuals(page, found, "all")
+
+
+def _say_verdict(page: Page, found: StoredVerdict) -> None:
     for sentence in found.sentences:
         say = page.text if found.right else page.warning
         say(f"{sentence_case(sentence)}.")
+
+
+def _smooth_residuals(page: Page, found: StoredVerdict, views: Literal["all", "others"]) -> None:
+    """Draw the smooth part of residuals, without the view that a page has shown already if it is of others."""
     figure = smooth_figure(found, views)
     if figure is not None:
         page.figure("smooth_residuals", figure, CAPTION, dense=True)

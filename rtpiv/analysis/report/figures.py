@@ -48,7 +48,13 @@ Floats = NDArray[np.float64]
 
 
 def vector_figure(
-    field: VectorField, grid: PlaneGrid, scene: Scene, colour: Floats, label: str, limit: float | None = None
+    field: VectorField,
+    grid: PlaneGrid,
+    scene: Scene,
+    colour: Floats,
+    label: str,
+    limit: float | None = None,
+    scale: tuple[float, str] = (1.0, "px"),
 ) -> Figure:
     """Draw vectors, as many as can be seen apart, over a coloured background, on the plane in mm.
 
@@ -66,6 +72,8 @@ def vector_figure(
         Said at the colour bar.
     limit : float, optional
         End of the colour scale; default the 99th percentile of `colour`.
+    scale : (float, str)
+        Value of 1 px, and its unit, for the reference arrow above the picture.
     """
     x_mm, y_mm = _axes_mm(field, grid)
     half = 0.5 * field.step_px * grid.pitch_mm
@@ -80,28 +88,38 @@ def vector_figure(
     grid_x, grid_y = np.meshgrid(x_mm, y_mm)
     place = np.stack((grid_x[some][shown], grid_y[some][shown]), axis=-1)
     shift = np.stack((field.u_px[some][shown], -field.v_px[some][shown]), axis=-1)
-    draw_arrows(axes, place, shift, 1.7 * every * half, np.full(len(place), INK))
+    draw_arrows(axes, place, shift, 1.7 * every * half, np.full(len(place), INK), scale)
     unit = length_unit(scene)
     axes.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
     colour_bar(image, axes, label, "max")
     return figure
 
 
-def draw_arrows(axes: Axes, place: Floats, shift: Floats, cell_mm: float, colours: NDArray[np.str_]) -> None:
+def draw_arrows(
+    axes: Axes,
+    place: Floats,
+    shift: Floats,
+    cell_mm: float,
+    colours: NDArray[np.str_],
+    scale: tuple[float, str] | None = None,
+) -> None:
     """Draw arrows (N, 2) at places (N, 2) [mm]; one of the 98th percentile is `cell_mm` long.
 
     Vectors longer than MAX_ARROW times that percentile are clipped, drawn in another colour, and counted above the
-    picture.
+    picture.  With the value and the unit of a length 1 a reference arrow stands there as well.
     """
     length = np.hypot(shift[:, 0], shift[:, 1])
     longest = max(float(np.percentile(length, 98)), 1e-9) if len(length) else 1.0
     cut = length > MAX_ARROW * longest
     drawn = np.where(cut[:, None], shift * (MAX_ARROW * longest / np.maximum(length, 1e-300))[:, None], shift)
-    axes.quiver(
+    arrows = axes.quiver(
         *place.T, *drawn.T, color=np.where(cut, CUT, colours), pivot="mid", angles="xy", scale_units="xy",
         scale=longest / cell_mm, width=0.0034, headwidth=3.6, headlength=4.2, headaxislength=3.6,
         edgecolor="white", linewidth=0.3,
     )  # fmt: skip
+    if scale is not None and len(length):
+        said = f"{longest * scale[0]:.2g} {scale[1]}"
+        axes.quiverkey(arrows, 0.04, 1.03, longest, said, labelpos="E", labelsep=0.06, fontproperties={"size": 8})
     if cut.any():
         many = quantity(int(cut.sum()), "vector")
         title = f"{many} clipped (longest {length.max() / longest:.2g} x reference)"

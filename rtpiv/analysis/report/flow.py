@@ -221,7 +221,6 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     """
     field = mean.field
     axis = jet_axis(field)
-    _along_lines(page, mean, regions, axis, bool(scene.bodies))
     if scene.bodies:
         rim_chapter(page, mean, scene, regions)
     page.heading("Streamlines and Reynolds stresses")
@@ -247,9 +246,10 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     page.figure("fractions", fractions_figure(found), said)
 
 
-def _along_lines(page: Page, mean: MeanFlow, regions: Regions, axis: Axis | None, behind: bool) -> None:
-    """Profiles across the flow, at heights that are spread over what is seen."""
+def profile_chapter(page: Page, mean: MeanFlow, regions: Regions, behind: bool) -> None:
+    """Add profiles across the flow, at heights that are spread over what is seen, and the axis of a jet."""
     field = mean.field
+    axis = jet_axis(field)
     known = np.isfinite(field.uv).all(axis=-1)
     rows = np.flatnonzero(known.mean(axis=1) > 0.2)
     if not rows.size:

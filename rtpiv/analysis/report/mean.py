@@ -18,7 +18,8 @@ from rtpiv.analysis.digits import two_digits, with_sigma
 from rtpiv.analysis.fit_beside import FIT_FILE
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
-from rtpiv.analysis.report.flow import flow_chapters, regions_of_mean
+from rtpiv.analysis.report.flow import flow_chapters, profile_chapter, regions_of_mean
+from rtpiv.analysis.report.high_place import high_place
 from rtpiv.analysis.report.page import Link, Page, behind_glass, through_lead
 from rtpiv.analysis.report.pair import NO_SCALE_SIGMA, light_sheet_line, scene_chapter, slant_figure, slant_lines
 from rtpiv.analysis.report.run import account_chapter, notes_chapter, readings_chapter
@@ -33,9 +34,6 @@ from rtpiv.analysis.steepness import Steepness
 from rtpiv.analysis.through_glass import through_glass
 
 NOT_KNOWN = {"timing error of dt": "not stated"}  # in the plan
-
-HIGH = 0.99  # of all speeds
-LEAST_AROUND = 5  # of eight neighbours that are valid
 
 
 def write_mean_page(
@@ -76,6 +74,7 @@ def write_mean_page(
     page.lead(*mean_lead(mean, regions, bool(scene.bodies)))
     _velocity_figures(page, view, mean)
     page.tiles(mean_tiles(mean))
+    profile_chapter(page, mean, regions, bool(scene.bodies))
     mean_chapters(page, view, mean)
     if mean.slope is not None:
         behind, beside = regions.region == Region.GLASS, regions.region == Region.DIRECT
@@ -156,28 +155,6 @@ def mean_lead(mean: MeanFlow, regions: Regions, behind_any: bool = True) -> tupl
     return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} {mean.unit}", Table(said, head, rows)
 
 
-def high_place(speed: NDArray[np.float64], where: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the place whose speed 1 % of others exceed, one at least, of those with most neighbours valid.
-
-    Parameters
-    ----------
-    speed : ndarray (ny, nx)
-        Of the mean.
-    where : ndarray of bool (ny, nx)
-        Places that count, one at least.
-    """
-    padded = np.pad(where, 1).astype(int)
-    rows, columns = where.shape
-    around = sum(padded[i : i + rows, k : k + columns] for i in range(3) for k in range(3)) - where
-    for least in (LEAST_AROUND, 1, 0):
-        usable = where & (around >= least)
-        if usable.any():
-            break
-    level = np.quantile(speed[usable], HIGH, method="lower")
-    row, column = np.argwhere(usable & (speed == level))[0]
-    return int(row), int(column)
-
-
 def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
     """The figures that matter next: value, name, what it is measured against."""
     known = mean.count > 0
@@ -196,13 +173,17 @@ def _velocity_figures(page: Page, view: SeriesView, mean: MeanFlow) -> None:
     field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, view.windows)
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
     sigma = np.linalg.norm(mean.total_sigma_m_s, axis=-1)[::-1]
+    scale = 1.0 / mean.px_per_m_s, mean.unit
     with page.row():
         said = "Mean velocity; its magnitude in colour."
         page.figure(
-            "mean", vector_figure(field, grid, scene, speed, f"mean speed [{mean.unit}]"), said, dense=True
+            "mean",
+            vector_figure(field, grid, scene, speed, f"mean speed [{mean.unit}]", scale=scale),
+            said,
+            dense=True,
         )
         said = f"Total standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
-        figure = vector_figure(field, grid, scene, sigma, f"total sigma of the mean [{mean.unit}]")
+        figure = vector_figure(field, grid, scene, sigma, f"total sigma of the mean [{mean.unit}]", scale=scale)
         page.figure("mean_sigma", figure, said, dense=True)
 
 

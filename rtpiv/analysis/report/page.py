@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 Drawn = dict[str, bytes]  # a figure by the kind of its file, "svg" or "png"
 PNG_DPI = 170
+LONG_TABLE = 12  # rows: balls of a bed, parameters of their fit
 
 _STYLE = Path(__file__).with_name("page.css")
 
@@ -108,7 +109,11 @@ class Page:
         self._parts.append(f'<div class="tiles">{inner}</div>')
 
     def table(self, table: Table) -> None:
-        """Add a table."""
+        """Add a table; a long one opens on a click on its title."""
+        if len(table.rows) > LONG_TABLE and table.title:
+            title = f"<summary>{html.escape(table.title)} ({len(table.rows)} rows)</summary>"
+            self._parts.append(f'<details>{title}<div class="wide" tabindex="0">{_cells(table)}</div></details>')
+            return
         title = f"<figcaption>{html.escape(table.title)}</figcaption>" if table.title else ""
         inner = f'<div class="wide" tabindex="0">{_cells(table)}</div>'
         self._parts.append(f'<figure class="table">{title}{inner}</figure>')

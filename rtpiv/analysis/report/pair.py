@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, shift_errors
 from correction.grid import PlaneGrid
-from daq.runs.run_views import tells_a_scale_alone, where_lit
+from daq.runs.run_views import length_unit, tells_a_scale_alone, where_lit
 from piv.correlation.vector_field import VectorField
+from rtpiv.analysis.digits import with_sigma
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.pictures.before_after import CORRECTED, PLAIN, BeforeAfter
@@ -22,6 +23,7 @@ from rtpiv.analysis.report.figures import (
     track_figure,
     vector_figure,
 )
+from rtpiv.analysis.report.high_place import high_place
 from rtpiv.analysis.report.page import Drawn, Page, render_figure, through_lead
 from rtpiv.analysis.report.sigma_verdict import sigma_verdict
 from rtpiv.analysis.report.table import Table
@@ -55,16 +57,44 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
     for warning in evaluation.scale_warnings:
         page.warning(warning)
     if totals := totals_of(evaluation):
+        if evaluation.shift is None:
+            page.lead(*speed_lead(evaluation, totals[0]))
         page.lead(*lead_of(totals[0]))
         if said := offset_said(evaluation):
             page.text(said)
         page.tiles(_region_tiles(evaluation, totals[0]))
     with page.row():
+        _vector_figure(page, evaluation)
         used = PLAIN if PLAIN in seen.figures else CORRECTED
         page.slider(seen.layers, f"Frame A, as acquired and {used}. Drag to compare.")
-        _vector_figure(page, evaluation)
     if any(name == "mask" for name, _ in seen.layers):
         page.swatches(mask_swatches(seen.shares))
+
+
+def speed_lead(evaluation: Evaluation, total: Total) -> tuple[str, Table]:
+    """Return a high speed of a region, or displacement where the time between the frames is not known.
+
+    It is exceeded by 1 % of the vectors, with its standard uncertainty along itself.
+    """
+    field, (factor, unit) = evaluation.field, _scale_of(evaluation)
+    uv = np.stack((field.u_px, -field.v_px), axis=-1) * factor
+    speed, sigma = np.hypot(uv[..., 0], uv[..., 1]), evaluation.total_sigma_px * factor
+    known = total.where(evaluation) & np.isfinite(sigma).all(axis=-1)
+    what = "displacement" if evaluation.task.dt_s is None else "speed"
+    said = f"{what}{total.where_said} that 1 % of {int(known.sum())} vectors exceed, and its standard uncertainty"
+    if not known.any():
+        return "-", Table(f"{what}{total.where_said}", (), [])
+    top = high_place(speed, known)
+    along = float(np.linalg.norm(uv[top] / max(float(speed[top]), 1e-300) * sigma[top]))
+    quantiles = np.quantile(speed[known], (0.5, 0.9))
+    rows = [(name, f"{value:.3g}") for name, value in zip(("median", "90 % are below"), quantiles, strict=True)]
+    return f"{with_sigma(float(speed[top]), along)} {unit}", Table(said, (f"{what} [{unit}]", ""), rows)
+
+
+def _scale_of(evaluation: Evaluation) -> tuple[float, str]:
+    """Value of 1 px, and its unit: a velocity, or a length where the time is not known."""
+    dt_s = evaluation.task.dt_s
+    return per_px(evaluation.grid.pitch_mm, dt_s), length_unit(evaluation.task.scene) if dt_s is None else "m/s"
 
 
 def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, str]]:
@@ -136,7 +166,8 @@ def scene_chapter(page: Page, scene: Scene) -> None:
     ]  # fmt: skip
     if rows:
         columns = ("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm")
-        page.table(Table("", columns, rows))
+        radii = sorted({f"{s.radius_mm:.4g}" for s in scene.spheres}, key=float)
+        page.table(Table(f"Spheres, of radius {', '.join(radii)} mm", columns, rows))
     if scene.camera.pupil is not None and rows:
         page.figure("blur", blur_figure(*blur_of(scene)), BLUR_CAPTION, dense=True)
 
@@ -172,10 +203,9 @@ def _vector_figure(page: Page, evaluation: Evaluation) -> None:
     """The vectors: before their error where it is known, else in the colour of their length."""
     field = evaluation.field
     if evaluation.shift is None:
-        colour, label = np.hypot(field.u_px, field.v_px), "displacement [px]"
-        if evaluation.task.dt_s is not None:
-            colour = colour * per_px(evaluation.grid.pitch_mm, evaluation.task.dt_s)
-            label = "speed [m/s]"
+        factor, unit = scale = _scale_of(evaluation)
+        colour = np.hypot(field.u_px, field.v_px) * factor
+        label = f"{'displacement' if evaluation.task.dt_s is None else 'speed'} [{unit}]"
         said = "Vectors, their length in colour"
         said += "." if is_plain(evaluation) else "; lines: outlines of the bodies on the plane."
     else:
@@ -183,9 +213,9 @@ def _vector_figure(page: Page, evaluation: Evaluation) -> None:
             np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1),
             "difference from the known shift [px]",
         )
-        said = "Vectors; the background is their difference from the known shift."
+        said, scale = "Vectors; the background is their difference from the known shift.", (1.0, "px")
     figure = vector_figure(
-        field, evaluation.grid, evaluation.task.scene, colour, label, _limit(evaluation, colour)
+        field, evaluation.grid, evaluation.task.scene, colour, label, _limit(evaluation, colour), scale
     )
     page.figure("vectors", figure, said, dense=True)
 

@@ -15,6 +15,8 @@ from rtpiv.analysis.pairs.pair_vectors import columns_of
 from rtpiv.analysis.report.sigma_verdict import sigma_verdict
 from rtpiv.analysis.report.tables import claim_table, sigma_table, track_summary
 
+MOST_NAMED = 6  # bodies
+
 
 def frame_names(frames: Sequence[Path]) -> dict[str, str]:
     """Return what the frames of a pair are called, and the folder that they are from."""
@@ -71,9 +73,12 @@ def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     page.heading("Files")
     page.links([Link(name, name) for name in names if (out / name).is_file()])
     page.heading("Provenance")
-    bodies = ", ".join(body.name for body in task.scene.bodies)
+    bodies = [body.name for body in task.scene.bodies]
+    said = ", ".join(bodies[:MOST_NAMED]) + (
+        f" and {len(bodies) - MOST_NAMED} more" if len(bodies) > MOST_NAMED else ""
+    )
     known = {
         name: value for name, value in about.items() if name != "scene_hash" or not tells_a_scale_alone(task.scene)
     }
-    page.facts([*known.items(), *([("bodies", bodies)] if bodies else [])])
+    page.facts([*known.items(), *([("bodies", said)] if bodies else [])])
     page.write(out / "report.html")

@@ -57,6 +57,10 @@ class Preview:
         Its vectors.
     grid : PlaneGrid
         Scale of the corrected image.
+    length : str
+        Unit of lengths.
+    files : (str, str)
+        Names of its frames.
     """
 
     tag: str
@@ -66,6 +70,7 @@ class Preview:
     field: VectorField
     grid: PlaneGrid
     length: str = "mm"
+    files: tuple[str, str] = ("", "")
 
 
 def write_series_page(path: Path, given: SeriesInput, result: Evaluated, figures: bool = False) -> None:
@@ -147,7 +152,8 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
     mask = [layer for layer in seen.layers if layer[0] == "mask"]
     layers_of = replace(seen, layers=(*layers, *mask))
     unit = length_unit(method.scene)
-    return Preview(pair.tag, pair.dt_s, layers_of, steps, field, corrector.map.grid, unit)
+    files = pair.frames[0].name, pair.frames[1].name
+    return Preview(pair.tag, pair.dt_s, layers_of, steps, field, corrector.map.grid, unit, files)
 
 
 def _limits(frame: NDArray[Any]) -> tuple[float, float]:
@@ -188,8 +194,8 @@ def series_tiles(given: SeriesInput, result: Evaluated, shown: Preview | None) -
 def series_chapters(page: Page, given: SeriesInput, result: Evaluated, shown: Preview | None) -> None:
     """Add what was done to the frames, one pair, the pairs left out, the scene and where all this comes from."""
     if shown is not None:
-        frames_chapter(page, shown)
         pair_chapter(page, given, shown)
+        frames_chapter(page, shown)
     _exclusions(page, given, result)
     scene_chapter(page, given.method.scene)
     light_sheet_line(page, replace(given.method.scene, sheet=load_scene(given.out / SCENE_FILE).sheet))
@@ -201,7 +207,7 @@ def frames_chapter(page: Page, shown: Preview) -> None:
     page.heading("Frames, step by step")
     named = any(name == "mask" for name, _ in shown.seen.layers)
     colours = "; the colours of the mask, and their share of the nodes:" if named else "."
-    page.slider(shown.seen.layers, f"Frame A of {shown.tag}. Drag to compare{colours}")
+    page.slider(shown.seen.layers, f"Frame A of {shown.tag}, {shown.files[0]}. Drag to compare{colours}")
     if named:
         page.swatches(mask_swatches(shown.seen.shares))
     if shown.steps:
@@ -222,7 +228,7 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     speed = np.hypot(field.u_px, field.v_px) * scale
     sigma = np.linalg.norm(field.total_sigma_px, axis=-1) * scale
     with page.row():
-        figure = vector_figure(field, grid, given.method.scene, speed, f"{what} [{unit}]")
+        figure = vector_figure(field, grid, given.method.scene, speed, f"{what} [{unit}]", scale=(scale, unit))
         page.figure("pair", figure, f"Pair {shown.tag}: vectors, their {what} in colour.", dense=True)
         if np.isfinite(sigma).any():
             figure = vector_figure(
@@ -231,7 +237,8 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
             said = "Same vectors, coloured by what is uncertain in a single pair."
             page.figure("pair_sigma", figure, said, dense=True)
     facts = [] if shown.dt_s is None else [("time between the frames", f"{shown.dt_s * 1e6:.3f} us")]
-    page.facts([*facts, ("1 px of displacement is", f"{scale:.6g} {unit}")])
+    files = ("files of the pair", ", ".join(shown.files))
+    page.facts([files, *facts, ("1 px of displacement is", f"{scale:.6g} {unit}")])
     page.table(count_table(field))
 
 

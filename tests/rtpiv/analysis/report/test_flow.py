@@ -8,8 +8,9 @@ import pytest
 from correction.evaluate.regions import Region, Regions
 from piv.correlation.vector_field import VectorFlag
 from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
-from rtpiv.analysis.report.flow import checks_of, rim_chapter
-from rtpiv.analysis.report.mean import high_place, mean_lead
+from rtpiv.analysis.report.flow import checks_of, profile_chapter, rim_chapter
+from rtpiv.analysis.report.high_place import high_place
+from rtpiv.analysis.report.mean import mean_lead
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.history import history
 from rtpiv.analysis.series.mean_flow import mean_flow
@@ -76,6 +77,7 @@ def page_of(path, only_rim=True, **kinds):
     if only_rim:
         rim_chapter(page, mean, scene if kinds.get("bodies", True) else scene.with_bodies(()), regions)
     else:
+        profile_chapter(page, mean, regions, bool(scene.bodies))
         checks_of(page, mean, found, scene, regions)
     page.write(path / "flow.html")
     text = re.sub(r"<img[^>]*>", "", (path / "flow.html").read_text())
