@@ -15,7 +15,7 @@ from rtpiv.analysis.pairs.pair_vectors import columns_of
 from rtpiv.analysis.report.sigma_verdict import sigma_verdict
 from rtpiv.analysis.report.tables import claim_table, sigma_table, track_summary
 
-MOST_NAMED = 6  # bodies
+MOST_BODIES = 6  # named
 
 
 def frame_names(frames: Sequence[Path]) -> dict[str, str]:
@@ -74,8 +74,8 @@ def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     page.links([Link(name, name) for name in names if (out / name).is_file()])
     page.heading("Provenance")
     bodies = [body.name for body in task.scene.bodies]
-    said = ", ".join(bodies[:MOST_NAMED]) + (
-        f" and {len(bodies) - MOST_NAMED} more" if len(bodies) > MOST_NAMED else ""
+    said = ", ".join(bodies[:MOST_BODIES]) + (
+        f" and {len(bodies) - MOST_BODIES} more" if len(bodies) > MOST_BODIES else ""
     )
     known = {
         name: value for name, value in about.items() if name != "scene_hash" or not tells_a_scale_alone(task.scene)

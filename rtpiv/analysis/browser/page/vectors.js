@@ -289,7 +289,7 @@ function check() {
 
 function showRejected(words) {
   rejected = new Set(words.rejected);
-  at("checked").textContent = `${rejected.size} of ${words.measured} vectors of this pair would be rejected; "write" writes ${about.writes}`;
+  at("checked").textContent = `${rejected.size} of ${words.measured} vectors would be rejected; "write" writes ${about.writes}`;
   scatter();
   showLine();
   draw();
