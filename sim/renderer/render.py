@@ -245,7 +245,7 @@ def tables_of(
         bounds=as_rows(
             [[*s.centre_mm, s.radius_mm + s.uneven_mm] for s in spheres] + [ball_around(r) for r in rods], 4
         ),
-        plane=plane,
+        plane=np.ascontiguousarray(plane),  # kernels are compiled for one order of memory
     )
     away_mm = float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3]))
     return SceneTables(world, away_mm / camera.focal_px)

@@ -50,6 +50,7 @@ def test_every_bit_lands_where_the_standard_says(name, width, padding):
 
 def test_interpreted_kernels_equal_compiled_ones():
     data = np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)
+    data.flags.writeable = False  # compiled for what `unpack` gives
     cases = [
         (kernels.unpack_8, (9 * 8,)),
         (kernels.unpack_16, (9 * 16, 0x3FF)),
