@@ -78,8 +78,6 @@ def unpack(
         )
     image = out.reshape(-1)[: width * height].reshape(height, width)
     bits = form.significant_bits
-    raw = raw.view()
-    raw.flags.writeable = False  # as payloads of most transports are: kernels are compiled once for all
     if form.wire_bits == 8:
         unpack_8(raw, pitch, image)
     elif form.wire_bits == 16:

@@ -77,7 +77,7 @@ def test_identities_in_both_layouts():
     assert controllers["glass"]["identity"] == 'a "quoted", odd: one # 7'
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     text=st.sampled_from([FLOW, BLOCK, NONE]),
     crlf=st.booleans(),
