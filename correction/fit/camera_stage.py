@@ -28,6 +28,7 @@ from correction.fit.judge.hypothesis_words import NAMED_TERM_SIGMAS, target_heig
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
 from correction.fit.judge.verdict import PRIOR_LIMIT
 from correction.fit.levels_shown import levels_shown, look_like_levels
+from correction.fit.pose_stage import drop_other_boards, find_poses
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import (
     FLOOR_PX,
@@ -71,8 +72,15 @@ def find_camera(work: Progress) -> None:
         raise TargetNotFound(files_exchanged(work) or _out_of_focus(work) or str(missing)) from None
     if solution.pull > PRIOR_LIMIT and not cause_on_bare(work):
         unknowns, solution = _follow_board(work, unknowns, solution)
-    if len(work.bare_frames) > 1:
-        unknowns, solution = _fit_camera(work, work.bare_frames[1:])
+    if on_stage := [frame for frame in work.bare_frames[1:] if not frame.pose]:
+        unknowns, solution = _fit_camera(work, on_stage)
+    if work.poses:
+        find_poses(work)
+        unknowns = work.unknowns.only((*ON_BARE, *work.walls))
+        solution = _fit_bare(work, unknowns, "camera and poses by hand", 0)
+        if drop_other_boards(work):
+            unknowns = work.unknowns.only((*ON_BARE, *work.walls))
+            solution = _fit_bare(work, unknowns, "camera and poses by hand, again", 0)
     for _ in range(THROUGH_WALLS if work.walls else 0):
         solution = _measure_through_walls(work, unknowns)
     if work.board.dots is not None:
@@ -115,7 +123,7 @@ def files_exchanged(work: Progress) -> str:
     own, reach = work.bare_frames[0], _reach(work)
     found = [len(frame) for frame in work.bare[:1]]
     for frame in work.glass_frames:
-        if frame.height_mm != own.height_mm:
+        if frame.pose or frame.height_mm != own.height_mm:
             continue
         try:
             other, _ = bare_frame(frame, work.board, _predict_view(work, frame, work.unknowns.start), 0, reach)
@@ -132,12 +140,13 @@ def files_exchanged(work: Progress) -> str:
 def _heights_exchanged(work: Progress) -> str:
     """Say that the bare target fits with heights of the other sign, where it does not with those given."""
     heights = work.unknowns.heights_mm
-    if len(work.bare) < 2 or not any(heights):
+    bare = [frame for frame in work.bare if frame.corners.height_number < len(heights)]
+    if len(bare) < 2 or not any(heights):
         return ""
     known = work.board.print_sigma
     other = unknowns_of(work.nominal, [-z for z in work.heights], work.priors, work.focal_free, print_sigma=known)
     other = other.only((*ON_BARE, *work.walls))
-    frames = [_at_height(frame, other, -heights[frame.corners.height_number]) for frame in work.bare]
+    frames = [_at_height(frame, other, -heights[frame.corners.height_number]) for frame in bare]
     fit = Adjustment().solve(other, other.free(other.start), frames)
     rms_px = float(np.sqrt(np.mean(Adjustment().reprojection(other, fit.x, frames) ** 2)))
     if not (fit.pull <= PRIOR_LIMIT and rms_px <= _limit_px(work)):
@@ -296,7 +305,7 @@ def _lens_freed(work: Progress) -> Unknowns:
 def _heights_freed(given: Unknowns) -> Unknowns | None:
     """The same if all heights of the target may be off by one factor; None if there is only one height."""
     heights = np.zeros_like(given.start)
-    heights[given.place(0).start :] = HEIGHTS_FREED * given.start[given.place(0).start :]
+    heights[given.on_stage] = HEIGHTS_FREED * given.start[given.on_stage]
     if not heights.any():
         return None
     return replace(given, names=(*given.names, "heights"), columns=np.column_stack((given.columns, heights)))

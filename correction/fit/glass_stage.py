@@ -61,9 +61,9 @@ def find_glass(work: Progress) -> None:
 
 def _refuse_turned(work: Progress) -> None:
     """Refuse frames with glass that are turned or mirrored, where those of the bare target are not."""
-    bare = {frame.height_mm: frame for frame in reversed(work.bare_frames)}
+    bare = {(frame.pose, frame.height_mm): frame for frame in reversed(work.bare_frames)}
     for frame in work.glass_frames:
-        own = bare.get(frame.height_mm)
+        own = bare.get((frame.pose, frame.height_mm))
         words = turn_between(own.image, frame.image) if own else ""
         if own and words:
             raise GlassNotSeen(

@@ -14,7 +14,7 @@ from correction.fit.seen.measurement import (
 )
 from correction.fit.seen.silhouettes import Outlines
 from correction.fit.seen.smear import Dispersion
-from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from correction.fit.solve.unknowns import Unknowns, pose_label, unknowns_of
 from correction.target import Chessboard
 from correction.target.board_search import SATURATED
 from correction.target.corners import fraction_saturated
@@ -23,6 +23,7 @@ from correction.target.marks import find_marks
 from tracer.camera import Vector3
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TARGET
 
 RIM_REACH = 0.8  # squares: rims are seen to a few tenths of one
 
@@ -38,15 +39,16 @@ class Progress:
         priors: FitTable,
         say: Callable[[str], None],
     ) -> None:
-        self.bare_frames = sorted((f for f in frames if not f.glass), key=lambda f: abs(f.height_mm))
-        self.glass_frames = sorted((f for f in frames if f.glass), key=lambda f: abs(f.height_mm))
-        if not self.bare_frames or self.bare_frames[0].height_mm != 0.0:
+        self.bare_frames = sorted((f for f in frames if not f.glass), key=_far)
+        self.glass_frames = sorted((f for f in frames if f.glass), key=_far)
+        if not self.bare_frames or _far(self.bare_frames[0]) != (False, 0.0):
             raise ViewsMissing("a frame of the bare target at z = 0 is needed: it defines the world; take one")
         if nominal.spheres and not self.glass_frames:
             raise ViewsMissing("the scene has spheres but no frame shows the target through them; take one")
         self.board, self.say, self.history = board, say, list[FitStep]()
-        self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
-        self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
+        self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames if not f.pose]
+        self.poses = {pose: np.zeros(len(TARGET)) for pose in sorted({f.pose for f in frames if f.pose})}
+        self.focal_free = len({(f.pose, f.height_mm) for f in self.bare_frames}) >= 3
         self.unknowns = self.unknowns_of(nominal, priors)
         self.full = self.unknowns.start
         self.bare: list[MeasuredFrame] = []
@@ -70,7 +72,7 @@ class Progress:
     ) -> Unknowns:
         """Number what is free around a nominal scene, with a target that the stage moves along `travel`."""
         known = (board or self.board).print_sigma
-        return unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known)
+        return unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known, self.poses)
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""
@@ -83,8 +85,26 @@ class Progress:
         return [f"{body.name}." for body in self.nominal.bodies if body.stays]
 
     def height_number(self, frame: TargetFrame) -> int:
-        """Number of a frame's height."""
+        """Number of a frame's height, or of its pose by hand."""
+        if frame.pose:
+            return len(self.unknowns.heights_mm) + self.unknowns.poses.index(frame.pose)
         return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
+
+    def put_pose(self, pose: str, values: NDArray[np.float64]) -> None:
+        """Start a pose by hand from where it was found: x, y, z [mm] and turn (6,)."""
+        place = self.unknowns.place(len(self.unknowns.heights_mm) + self.unknowns.poses.index(pose))
+        start, self.full = self.unknowns.start.copy(), self.full.copy()
+        start[place] = self.full[place] = self.poses[pose] = values
+        self.unknowns = self.unknowns.around(start)
+
+    def drop_pose(self, pose: str, why: str) -> None:
+        """Leave out the frames of a pose by hand, and say why."""
+        self.unknowns = self.unknowns.without(pose_label(pose))
+        names = [frame.name for frame in (*self.bare_frames, *self.glass_frames) if frame.pose == pose]
+        self.bare = [frame for frame in self.bare if frame.name not in names]
+        self.bare_frames = [frame for frame in self.bare_frames if frame.pose != pose]
+        self.glass_frames = [frame for frame in self.glass_frames if frame.pose != pose]
+        self.note(FitStep(f"warning: {' and '.join(names)} left out: {why}"))
 
     def saddles(self, frame: TargetFrame) -> Saddles:
         """Saddles of a frame, or dots, looked for once."""
@@ -116,6 +136,11 @@ class Progress:
         beside = self.outlines.beside(scene, RIM_REACH * self.board.square_mm).tolist()
         places = zip(self.outlines.names, self.outlines.place_mm.tolist(), beside, strict=True)
         return {name: (x, y, z) for name, (x, y, z), is_beside in places if is_beside}
+
+
+def _far(frame: TargetFrame) -> tuple[bool, float]:
+    """Order of frames: by distance from the plane, those of a pose by hand last."""
+    return bool(frame.pose), abs(frame.height_mm)
 
 
 def _saturation_warning(frame: TargetFrame) -> str:

@@ -12,6 +12,7 @@ edges and the number of its squares must leave one place only (`board_count`).  
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,7 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
     )
 
 
-def find_lattice(image: NDArray[Any], board: Chessboard) -> BoardDetection:
+def find_lattice(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None = None) -> BoardDetection:
     """Find the marks of a board whose place and turn do not matter, as of one that is held by hand.
 
     Marks that show the origin are used where they are seen, and required where the print is stretched along one of
@@ -101,7 +102,7 @@ def find_lattice(image: NDArray[Any], board: Chessboard) -> BoardDetection:
 
     Parameters
     ----------
-    image, board
+    image, board, mask
         As in `find_board`.
 
     Raises
@@ -113,12 +114,59 @@ def find_lattice(image: NDArray[Any], board: Chessboard) -> BoardDetection:
     """
     turns_matter = board.scale[0] != board.scale[1] or len(board.depths_mm) > 1
     if board.codes is not None or turns_matter:
-        return find_board(image, board)
+        return find_board(image, board, mask)
     endless = replace(board, discs=(), squares=None, origin_corner=None)
-    frame, patches, _ = _patches(image, endless, None)
+    frame, patches, _ = _patches(image, endless, mask)
     exchanged = float(np.mean(patches[0].sign == endless.corner_sign(patches[0].index))) < MIN_VOTE_SHARE
     place = Placing(QUARTER_TURNS[0], (int(exchanged), 0))  # one square on, bright and dark are exchanged
-    return measure_lattice(frame, endless, [(patches[0], place)], None)
+    return measure_lattice(frame, endless, [(patches[0], place)], mask)
+
+
+def find_held_board(
+    image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None = None
+) -> BoardDetection:
+    """Find a board that is held by hand, at any pose, each mark with its own place on the board.
+
+    Of a board without marks of its own the edges must be in view: they are counted in the view that its lattice
+    shows, in whichever of four turns they fit.
+
+    Parameters
+    ----------
+    image, board, mask
+        As in `find_board`.  A board that was found before has its bright squares where that frame shows them.
+
+    Raises
+    ------
+    FrameError, TargetNotFound
+        As `find_board`.
+    """
+    if board.codes is not None or (board.discs and not board.is_turn_symmetric):
+        return find_board(image, board, mask)
+    import cv2
+
+    loose = find_lattice(image, board, mask)
+    to_frame, _ = cv2.findHomography(loose.plane_mm, loose.position_px)
+    refused = None
+    for turn in QUARTER_TURNS:
+        turned = np.eye(3)
+        turned[:2, :2] = turn
+        predict = partial(_through_homography, np.asarray(to_frame) @ turned)
+        try:
+            found = track_board(image, board, predict, mask, float(FAR_SQUARES))
+        except TargetNotFound as error:
+            refused = refused or error
+            continue
+        if found.board.odd_bright == board.odd_bright:
+            return found
+    raise refused or TargetNotFound(
+        "bright and dark squares are exchanged against the frame of the board at z = 0"
+    )
+
+
+def _through_homography(to_frame: NDArray[np.float64], place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pixels (M, 2) of marks (M, 3) of a board by a homography (3, 3); NaN behind the camera."""
+    at = np.column_stack((place_mm[:, :2], np.ones(len(place_mm)))) @ to_frame.T
+    return np.asarray(at[:, :2] / np.where(at[:, 2:] > 0.0, at[:, 2:], np.nan))
 
 
 def track_board(
@@ -238,10 +286,14 @@ def _find_in_mirror(
         return np.asarray(predict(place_mm), np.float64) * (-1.0, 1.0) + (last, 0.0)
 
     seen = None if mask is None else np.ascontiguousarray(mask[:, ::-1])
-    found = track_board(np.ascontiguousarray(image[:, ::-1]), board, mirror_view, seen, reach)
+    return mirror_found(track_board(np.ascontiguousarray(image[:, ::-1]), board, mirror_view, seen, reach), last)
+
+
+def mirror_found(found: BoardDetection, last_px: float) -> BoardDetection:
+    """Return a board as it is seen in the frame with its columns, the last of which is `last_px`, reversed."""
     across = np.array((-1.0, 1.0))
     return replace(
-        found, position_px=found.position_px * across + (last, 0.0), axes_px=found.axes_px * across[:, None]
+        found, position_px=found.position_px * across + (last_px, 0.0), axes_px=found.axes_px * across[:, None]
     )
 
 

@@ -46,12 +46,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class TargetView:
-    """A frame of the board, through the glass or bare, and how far before the plane the board stood, measured."""
+    """A frame of the board, through the glass or bare, and how far before the plane it stood, or its pose."""
 
     tag: str
     path: Path
     glass: bool
     height_mm: float
+    pose: str = ""
 
 
 @dataclass(frozen=True)

@@ -173,7 +173,7 @@ def calibration_of(fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame]
     grids: dict[str, TargetError] = {}
     panels: list[Panel] = []
     layers: tuple[tuple[str, str], ...] = ()
-    for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:
+    for frame in [frame for frame in frames if frame.glass and not (frame.pose or frame.height_mm)][:1]:
         number = fit.frames.index(frame.name)
         scenes = {"nominal glass": aligned(fit), "fitted": fit.scene}
         errors, (corrected, corrector) = corrected_against_grid([*scenes.values()], frame.image, fit.board)

@@ -35,10 +35,13 @@ from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 PICTURES = "rtpiv.analysis.pictures"
 FITTED = ("scene.yaml", "fit.npz", "map_sigma.npz", "calibration.json")
 DRAWN = ("map_sigma.png", "convergence.png", "smooth_residuals.png", "residuals.png", "calibration.html")
-NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
+NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm|_(pose\w+))?")
 OR_BY_HAND = "; or give three or more of a board held by hand, without glass, for the lens alone"
 Work = tuple[Callable[[str], None], float]  # tells each step, and seconds that the fit took
-WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
+WANTED = (
+    "target_clear.tif, target_glass.tif, for other heights target_clear_z+10mm.tif and so on, and for poses by"
+    " hand target_clear_pose1.tif and so on"
+)
 
 
 def calibrate(
@@ -59,8 +62,10 @@ def calibrate(
     folder : path
         A target run (of several, the newest finished one is used); or a folder that holds ``target_clear.tif``
         (bare target at z = 0), ``target_glass.tif`` (through the glass) and, for other heights,
-        ``target_clear_z+10mm.tif`` ...; or a folder with three or more frames, without glass, of a board held by
-        hand and tilted to all sides: from these only lens and focal length are fitted.
+        ``target_clear_z+10mm.tif`` ..., and for the board held by hand, tilted or elsewhere,
+        ``target_clear_pose1.tif``, ``target_glass_pose1.tif`` ...; or a folder with three or more frames of other
+        names, without glass, of a board held by hand and tilted to all sides: from these only lens and focal
+        length are fitted.
     scene : path, optional
         Nominal scene.yaml, with the priors in its section ``fit``.  Default for a run: the scene of its bench at
         the start of the run.
@@ -201,7 +206,10 @@ def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
     views = target_views(folder) if is_run(folder) else _views_by_name(folder)
     if not views:
         raise ViewsMissing("holds no frame of the target", place=folder, cure=f"name them {WANTED}{OR_BY_HAND}")
-    return [TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm) for view in views]
+    return [
+        TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm, view.pose)
+        for view in views
+    ]
 
 
 def _views_by_name(folder: Path) -> list[TargetView]:
@@ -215,5 +223,5 @@ def _views_by_name(folder: Path) -> list[TargetView]:
             raise ViewsMissing(
                 f"is named like a frame of the target, but not {WANTED}", place=path, cure="rename it"
             )
-        views.append(TargetView(path.stem, path, match[1] == "glass", float(match[2] or 0.0)))
+        views.append(TargetView(path.stem, path, match[1] == "glass", float(match[2] or 0.0), match[3] or ""))
     return views

@@ -205,7 +205,7 @@ def _candidates_given(
             ball = name.partition(".")[0]
             yield Candidate(ball, size, [rate @ move for rate in rates], say, move)
     heights = np.zeros((len(unknowns.start), 1))
-    heights[unknowns.place(0).start :, 0] = unknowns.start[unknowns.place(0).start :]
+    heights[unknowns.on_stage, 0] = unknowns.start[unknowns.on_stage]
     if heights.any():
         size = np.array([HEIGHTS_ORDINARY])
         yield Candidate("", size, [rate @ heights for rate in rates], words.target_heights, heights)

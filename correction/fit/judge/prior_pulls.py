@@ -31,7 +31,7 @@ NAMED = 1.0  # sigmas from which a number is named
 KINDS = {
     "radii": r".+radius",
     "refractive indices": r"glass .+\.n",
-    "heights of the target": r"target.+mm\.z",
+    "heights of the target": r"target[+-]\S+mm\.z",
     "scale of the print": r"print\.stretch_.",
 }
 LENGTHS = "all lengths"

@@ -32,6 +32,7 @@ from correction.fit.solve.solver import Corners
 from correction.target import Chessboard
 from correction.target.board_search import Predict, track_board
 from correction.target.corners import CornerFit, CornerReason
+from correction.target.lattice_fit import BoardDetection
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TargetPose
@@ -56,12 +57,15 @@ class TargetFrame:
         Whether the glass stood before the camera.
     height_mm : float
         z of the target, by its stage.
+    pose : str
+        Name of a pose by hand, which no stage measured; empty on the stage.
     """
 
     name: str
     image: NDArray[Any]
     glass: bool
     height_mm: float = 0.0
+    pose: str = ""
 
 
 @dataclass(frozen=True)
@@ -227,12 +231,16 @@ def bare_frame(
         found = track_board(frame.image, board, predict, reach=reach)
     except TargetNotFound as error:
         raise TargetNotFound(f"{frame.name}: {error}") from None
-    count = len(found)
-    depth = board.depth_mm(found.index)
+    return as_measured(frame.name, found, height_number), found.board
+
+
+def as_measured(name: str, found: BoardDetection, height_number: int) -> MeasuredFrame:
+    """Return marks that were found without glass, or beside it, for the fit."""
+    count, depth = len(found), found.board.depth_mm(found.index)
     corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px), depth)
     nothing = np.zeros_like(found.blurs_px)
-    measured = MeasuredFrame(
-        frame.name,
+    return MeasuredFrame(
+        name,
         corners,
         found.index,
         found.axes_px,
@@ -244,7 +252,6 @@ def bare_frame(
         spread=EdgeSpread(found.blurs_px**2, nothing, nothing),
         origin_basis=found.origin_basis,
     )
-    return measured, found.board
 
 
 def bare_frame_through_walls(

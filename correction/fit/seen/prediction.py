@@ -33,7 +33,7 @@ from correction.target import Chessboard
 from correction.target.chessboard import LINES
 from correction.target.corners import MIN_HALF_WINDOW_PX, CornerFit, CornerSearch, half_widths_px
 from correction.target.marks import refine_marks
-from tracer.camera import Vector3
+from tracer.camera import LONGEST_MM, Vector3
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Numbers, text_of
 from tracer.strategies.ray_map import build_ray_map
@@ -247,6 +247,8 @@ def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> Corne
 def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
     """Return the scene in the coordinates of a target, whose plane is then z = 0.
 
+    A target that is tilted is no wall: its plane may meet a window far beside it.
+
     Raises
     ------
     SceneError
@@ -263,7 +265,8 @@ def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
     camera = scene.camera
     a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in camera.rotation_matrix @ axes.T)
     camera = replace(camera, position_mm=point(camera.position_mm), rotation=(a, b, c))
-    return replace(scene, camera=camera, bodies=tuple(body.moved(point) for body in scene.bodies))
+    cut_mm = scene.cut_mm if abs(axes[2, 2]) == 1.0 else LONGEST_MM
+    return replace(scene, camera=camera, bodies=tuple(body.moved(point) for body in scene.bodies), cut_mm=cut_mm)
 
 
 def _move_onto(

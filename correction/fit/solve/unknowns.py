@@ -3,7 +3,7 @@
 All numbers of the bench stand in one FULL vector:
 
     camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
-                | 45 of each ball out of round | 6 of each height of the target | 2 or 3 of the print
+                | 45 of each ball out of round | 6 of each pose of the target | 2 or 3 of the print
 
 in the units of `tracer.strategies.sensitivity`; the last ones are by how much of itself the print is wider and
 higher than it was measured, and the step of a plate with two levels deeper.  The FREE vector x is
@@ -21,7 +21,7 @@ arXiv:1812.01537, eq. 145):
     J(w) = I + (1 - cos |w|)/|w|^2 [w] + (|w| - sin |w|)/|w|^3 [w]^2
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -45,6 +45,8 @@ from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
 PRINT = ("stretch_x", "stretch_y", "step")  # the last one of plates with two levels alone
+BY_HAND = (1000.0, 1.0)  # mm, rad: sigma of a pose by hand, so wide that frames alone decide
+NOTHING_BY_HAND: Mapping[str, NDArray[np.float64]] = {}
 SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
 
 
@@ -68,6 +70,8 @@ class Unknowns:
         A: change of the full vector per sigma of each free number.
     contact_mm : float or None
         Standard deviation of the gap between balls that touch in the nominal scene; None: nothing is known of it.
+    poses : tuple of str
+        Names of poses by hand; their numbers follow those of the heights.
     """
 
     scene: Scene
@@ -77,16 +81,17 @@ class Unknowns:
     start: NDArray[np.float64]
     columns: NDArray[np.float64]
     contact_mm: float | None = None
+    poses: tuple[str, ...] = ()
 
     @cached_property
     def blocks(self) -> dict[str, slice]:
-        """Place of each block of numbers in the full vector, in its order; of the target one for each height."""
+        """Place of each block of numbers in the full vector, in its order; of the target one for each pose."""
         sizes = {
             "camera": len(CAMERA),
             "spheres": len(SPHERE) * len(self.scene.spheres),
             "walls": len(self.other_bodies.names),
             "shapes": COUNT * len(self._uneven),
-            **{f"target {number}": len(TARGET) for number in range(len(self.heights_mm))},
+            **{f"target {number}": len(TARGET) for number in range(len(self.heights_mm) + len(self.poses))},
         }
         ends = np.cumsum(list(sizes.values())).tolist()
         blocks = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
@@ -108,8 +113,13 @@ class Unknowns:
         return self.blocks["shapes"]
 
     def place(self, height_number: int) -> slice:
-        """Place of a height's pose in the full vector."""
+        """Place of a pose of the target in the full vector."""
         return self.blocks[f"target {height_number}"]
+
+    @property
+    def on_stage(self) -> slice:
+        """Place of the poses on the stage in the full vector, those by hand left out."""
+        return slice(self.place(0).start, self.place(len(self.heights_mm) - 1).stop)
 
     @cached_property
     def print_place(self) -> slice:
@@ -170,6 +180,11 @@ class Unknowns:
         kept = [i for i, name in enumerate(self.names) if name.startswith(tuple(prefixes))]
         return replace(self, names=tuple(self.names[i] for i in kept), columns=self.columns[:, kept])
 
+    def without(self, prefix: str) -> "Unknowns":
+        """Return the same unknowns with those numbers held whose name begins with `prefix`."""
+        kept = [i for i, name in enumerate(self.names) if not name.startswith(prefix)]
+        return replace(self, names=tuple(self.names[i] for i in kept), columns=self.columns[:, kept])
+
     def around(self, full: NDArray[np.float64]) -> "Unknowns":
         """Return the same unknowns with another centre for its fixed numbers and priors."""
         return replace(self, start=full)
@@ -223,7 +238,7 @@ class Unknowns:
         return self.scene.bare()
 
     def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
-        """Return the target's pose at one of the heights."""
+        """Return the target's pose at one of the heights, or one by hand."""
         return _pose_of(tuple(full[self.place(height_number)].tolist()))
 
     def scene_at(self, full: NDArray[np.float64]) -> Scene:
@@ -282,6 +297,7 @@ def unknowns_of(
     focal_free: bool = False,
     travel: Vector3 = (0.0, 0.0, 1.0),
     print_sigma: tuple[float, ...] = (0.0, 0.0),
+    poses: Mapping[str, NDArray[np.float64]] = NOTHING_BY_HAND,
 ) -> Unknowns:
     """Number everything and decide what is free.
 
@@ -299,6 +315,8 @@ def unknowns_of(
         Unit vector along which the stage moves the target to its heights.
     print_sigma : tuple of float
         How well width and height of the print are known, and the step of a plate, as shares of them.
+    poses : dict
+        Name of each pose by hand -> where it is looked for first (6,) [mm, rad]; nothing is known of it before.
     """
     heights = distinct_heights(heights_mm)
     start, columns, names = _Columns(), [], []
@@ -334,6 +352,9 @@ def unknowns_of(
             [*(height * along for along in travel), 0.0, 0.0, 0.0],
             [s * known_z for s in spread],
         )
+    for pose, looked_for in poses.items():
+        labels = [f"{pose_label(pose)}{part}" for part in TARGET]
+        start.add(labels, looked_for.tolist(), np.repeat(BY_HAND, 3).tolist())
     printed = [f"print.{part}" for part in PRINT[: len(print_sigma)]]
     start.add(printed, [0.0] * len(printed), print_sigma)
     for place, spread_of in enumerate(start.sigmas):
@@ -352,9 +373,13 @@ def unknowns_of(
             columns.append(column)
             names.append(name)
     matrix = np.stack(columns, axis=1) if columns else np.zeros((len(start.names), 0))
-    return Unknowns(
-        scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix, priors.contact_mm
-    )
+    every, middle = tuple(start.names), np.array(start.values)
+    return Unknowns(scene, heights, tuple(names), every, middle, matrix, priors.contact_mm, tuple(poses))
+
+
+def pose_label(pose: str) -> str:
+    """Beginning of the names of a pose by hand."""
+    return f"target {pose}."
 
 
 @lru_cache(maxsize=16)  # one scene is asked by every frame, and on every level
