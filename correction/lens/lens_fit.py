@@ -14,10 +14,14 @@ Boards are not flat and marks not alike: what the residuals show beyond the stan
 added to these, in quadrature and alike for all.  The marks of one frame also share errors, so their scatter alone
 promises too much: each variance is the larger of the usual one and that of the linear jackknife, which leaves out
 one frame after the other.
+
+Sensors have square pixels to a hundredth of a per cent, frames that were resized have not.  The height of a pixel
+over its width is a number like the others, known to SQUARE_SIGMA before; where the frames contradict that, or the
+user has said so, it is free.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -26,13 +30,16 @@ from numpy.typing import NDArray
 from correction.errors import ViewsMissing
 from tracer.camera import Camera, Lens
 
-SHARED = ("focal_px", "principal_u_px", "principal_v_px", "k1", "k2", "k3", "p1", "p2")
-PRIOR = np.array((np.inf, np.inf, np.inf, 1.0, 5.0, 25.0, 0.1, 0.1))  # standard deviations of the terms, about 0
+SHARED = ("focal_px", "principal_u_px", "principal_v_px", "k1", "k2", "k3", "p1", "p2", "pixel_aspect")
+SQUARE_SIGMA = 1e-4  # of the height of a pixel over its width
+SQUARE = np.array((*[0.0] * 8, 1.0))  # what is likely before
+PRIOR = np.array((np.inf, np.inf, np.inf, 1.0, 5.0, 25.0, 0.1, 0.1, SQUARE_SIGMA))  # and its standard deviations
+FREE = np.array((*PRIOR[:8], np.inf))
 LEAST_POSES = 3
 MOST_FOCAL_SHARE = 0.02  # sigma of a focal length that is worth keeping
 OFF_TIMES = 6.0  # of the usual scatter: marks beyond are left out
 FRAME_OFF_TIMES = 4.0  # rms of a frame over the median of all: beyond, another board or a bent one
-NOT_SQUARE = 1e-3  # by which width and height of pixels may differ
+NOT_SQUARE, NOT_SQUARE_SIGMAS = 1e-3, 3.0  # by which width and height of pixels may differ
 ROUNDS, SETTLED = 60, 1e-7
 FRONT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -63,8 +70,10 @@ class LensFit:
     Attributes
     ----------
     camera : Camera
-        At the origin, looking along z: focal length, principal point, lens terms.
-    covariance : (8, 8) float64
+        At the origin, looking along z: focal length, principal point, lens terms; its pixels are square.
+    numbers : (9,) float64
+        Values of `SHARED`; the last is the height of a pixel over its width.
+    covariance : (9, 9) float64
         Of `SHARED`.
     poses : dict
         Frame -> (6,) turn vector and shift [mm] from board to camera.
@@ -72,8 +81,8 @@ class LensFit:
         Frame -> (N, 2) found minus computed, NaN for marks that are left out.
     board_sigma_px : float
         What was added to the standard deviations of the marks.
-    pixel_ratio : (float, float)
-        Height over width of a pixel, and its standard deviation.
+    seen_aspect : (float, float)
+        Height over width of a pixel by the frames alone, and its standard deviation.
     refused : dict
         Frame -> why it was not used.
     seen : dict
@@ -81,23 +90,24 @@ class LensFit:
     """
 
     camera: Camera
+    numbers: NDArray[np.float64]
     covariance: NDArray[np.float64]
     poses: dict[str, NDArray[np.float64]]
     residual_px: dict[str, NDArray[np.float64]]
     board_sigma_px: float
-    pixel_ratio: tuple[float, float]
+    seen_aspect: tuple[float, float]
     refused: dict[str, str]
     seen: dict[str, SeenBoard] = field(repr=False)
 
     @property
-    def numbers(self) -> NDArray[np.float64]:
-        """Values (8,) of `SHARED`."""
-        return np.array((self.camera.focal_px, *self.camera.principal_px, *self.camera.lens.terms()))
+    def sigma(self) -> NDArray[np.float64]:
+        """Standard deviations (9,) of `SHARED`."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
-    def sigma(self) -> NDArray[np.float64]:
-        """Standard deviations (8,) of `SHARED`."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+    def has_square_pixels(self) -> bool:
+        """Return whether frames agree with square pixels; a scene has no others."""
+        return bool(abs(self.numbers[8] - 1.0) <= NOT_SQUARE_SIGMAS * max(self.sigma[8], SQUARE_SIGMA))
 
     @property
     def rms_px(self) -> float:
@@ -108,12 +118,14 @@ class LensFit:
     @property
     def warnings(self) -> list[str]:
         """Sentences to read before the lens is used."""
-        ratio, sigma = self.pixel_ratio
         out = []
-        if abs(ratio - 1.0) > max(3.0 * sigma, NOT_SQUARE):
+        if not self.has_square_pixels:
+            width, height = self.camera.sensor_px
             out.append(
-                f"pixels seem to be {ratio:.4f} +- {sigma:.4f} times as high as wide, and are taken as square;"
-                " measure the print in both directions (measured_mm in the board file), or resize the frames"
+                f"pixels seem to be {self.numbers[8]:.4f} +- {self.sigma[8]:.4f} times as high as wide."
+                " Turn the board by 90 degrees in some frames and measure its print in both directions"
+                " (measured_mm in the board file), as a stretched print looks the same; if it stays, resize all"
+                f" frames to {width} x {round(height * self.numbers[8])} px and fit the lens to these"
             )
         corners = np.concatenate([self.seen[tag].position_px for tag in self.poses])
         covered = np.ptp(corners, axis=0) / np.array(self.camera.sensor_px)
@@ -127,13 +139,15 @@ class LensFit:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """All unknowns: shared ones (8 or 9: with the ratio of the pixels) and poses (F, 6)."""
+    """All unknowns: shared ones (9,) and poses (F, 6)."""
 
     shared: NDArray[np.float64]
     poses: NDArray[np.float64]
 
 
-def fit_lens(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> LensFit:
+def fit_lens(
+    boards: Sequence[SeenBoard], sensor_px: tuple[int, int], aspect_sigma: float = SQUARE_SIGMA
+) -> LensFit:
     """Fit lens and focal length to boards at any poses.
 
     Parameters
@@ -142,6 +156,8 @@ def fit_lens(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> LensFit
         One a frame; the board tilted by 20 to 40 degrees to several sides in most.
     sensor_px : (int, int)
         Width and height of the frames.
+    aspect_sigma : float
+        How well pixels are known to be square.
 
     Returns
     -------
@@ -154,43 +170,43 @@ def fit_lens(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> LensFit
     """
     if len(boards) < LEAST_POSES:
         raise ViewsMissing(f"{len(boards)} frames show the board; {LEAST_POSES} are needed, 10 to 20 are good")
-    start = _start(boards, sensor_px)
-    used = [np.ones(len(each.plane_mm), bool) for each in boards]
-    refused: dict[str, str] = {}
-    for final in (False, True):  # once with everything, once without what scatters more than the rest
-        numbers, left = _adjust(start, boards, used)
-        if final:
-            break
-        scaled = [np.abs(each / board.sigma_px).max(axis=1) for each, board in zip(left, boards, strict=True)]
-        usual = 1.4826 * float(np.median(np.concatenate(scaled)))
-        rms = np.array([np.sqrt((each**2).mean()) for each in left])
-        kept = rms <= FRAME_OFF_TIMES * np.median(rms)
-        refused = {
-            board.tag: f"its marks lie {own:.2f} px from any flat board, those of others {np.median(rms):.2f} px"
-            for board, own, good in zip(boards, rms, kept, strict=True)
-            if not good
-        }
-        if kept.sum() < LEAST_POSES:
-            raise ViewsMissing("the frames fit no common lens; keep zoom and focus as they are, and use one board")
-        boards = [board for board, good in zip(boards, kept, strict=True) if good]
-        used = [each <= OFF_TIMES * max(usual, 1.0) for each, good in zip(scaled, kept, strict=True) if good]
-        left = [each for each, good in zip(left, kept, strict=True) if good]
-        board_sigma_px = _excess(left, boards, used)
-        boards = [board._replace(sigma_px=np.hypot(board.sigma_px, board_sigma_px)) for board in boards]
-        start = _Numbers(numbers.shared, numbers.poses[kept])
-    covariance = _covariance(numbers, boards, used)
+    every = [np.ones(len(each.plane_mm), bool) for each in boards]
+    # Once with everything and pixels of any shape, then without what scatters more than the rest.
+    first, left = _adjust(_start(boards, sensor_px), boards, every, FREE)
+    scaled = [np.abs(each / board.sigma_px).max(axis=1) for each, board in zip(left, boards, strict=True)]
+    usual = 1.4826 * float(np.median(np.concatenate(scaled)))
+    rms = np.array([np.sqrt((each**2).mean()) for each in left])
+    kept = rms <= FRAME_OFF_TIMES * np.median(rms)
+    refused = {
+        board.tag: f"its marks lie {own:.2f} px from any flat board, those of others {np.median(rms):.2f} px"
+        for board, own, good in zip(boards, rms, kept, strict=True)
+        if not good
+    }
+    if kept.sum() < LEAST_POSES:
+        raise ViewsMissing("the frames fit no common lens; keep zoom and focus as they are, and use one board")
+    boards = [board for board, good in zip(boards, kept, strict=True) if good]
+    used = [each <= OFF_TIMES * max(usual, 1.0) for each, good in zip(scaled, kept, strict=True) if good]
+    left = [each for each, good in zip(left, kept, strict=True) if good]
+    board_sigma_px = _excess(left, boards, used)
+    boards = [board._replace(sigma_px=np.hypot(board.sigma_px, board_sigma_px)) for board in boards]
+    prior = FREE
+    numbers, left = _adjust(_Numbers(first.shared, first.poses[kept]), boards, used, prior)
+    seen = float(numbers.shared[8]), float(np.sqrt(_covariance(numbers, boards, used, prior)[8, 8]))
+    if abs(seen[0] - 1.0) <= max(NOT_SQUARE_SIGMAS * seen[1], NOT_SQUARE):  # the frames allow square pixels
+        prior = np.array((*PRIOR[:8], aspect_sigma))
+        numbers, left = _adjust(numbers, boards, used, prior)
+    covariance = _covariance(numbers, boards, used, prior)
     if not np.sqrt(covariance[0, 0]) <= MOST_FOCAL_SHARE * numbers.shared[0]:
         raise ViewsMissing(
             f"the boards determine the focal length to {np.sqrt(covariance[0, 0]) / numbers.shared[0]:.1%} only;"
             " take more frames with the board tilted by 20 to 40 degrees, to the left, right, up and down"
         )
-    ratio = _pixel_ratio(numbers, boards, used)
     tags = [board.tag for board in boards]
     camera = _camera(numbers.shared, sensor_px)
     residual = {tag: np.where(own[:, None], each, np.nan) for tag, each, own in zip(tags, left, used, strict=True)}
     poses = dict(zip(tags, numbers.poses, strict=True))
-    seen = dict(zip(tags, boards, strict=True))
-    return LensFit(camera, covariance, poses, residual, board_sigma_px, ratio, refused, seen)
+    marks = dict(zip(tags, boards, strict=True))
+    return LensFit(camera, numbers.shared, covariance, poses, residual, board_sigma_px, seen, refused, marks)
 
 
 def _excess(
@@ -216,10 +232,11 @@ def _start(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> _Numbers:
     plane = [np.column_stack((each.plane_mm, np.zeros(len(each.plane_mm)))).astype(np.float32) for each in boards]
     pixel = [each.position_px.astype(np.float32) for each in boards]
     _, matrix, terms, turns, shifts = cv2.calibrateCamera(
-        plane, pixel, sensor_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_K3
+        plane, pixel, sensor_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
     )
-    shared = np.zeros(8)
+    shared = SQUARE.copy()
     shared[:4] = matrix[0, 0], matrix[0, 2], matrix[1, 2], -float(np.ravel(terms)[0])
+    shared[8] = matrix[0, 0] / matrix[1, 1]
     return _Numbers(
         shared, np.array([np.r_[turn[:, 0], shift[:, 0]] for turn, shift in zip(turns, shifts, strict=True)])
     )
@@ -247,9 +264,10 @@ def _residual(shared: NDArray[np.float64], pose: NDArray[np.float64], board: See
 def _ideal(
     shared: NDArray[np.float64], position_px: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Ideal pixels (N, 2), derivatives by acquired pixels (N, 2, 2) and by the shared numbers (N, 2, 8)."""
-    focal, (k1, k2, k3, p1, p2) = shared[0], shared[3:8]
-    xy = (position_px - shared[1:3]) / focal
+    """Ideal pixels (N, 2), derivatives by acquired pixels (N, 2, 2) and by the shared numbers (N, 2, 9)."""
+    focal, (k1, k2, k3, p1, p2), high = shared[0], shared[3:8], np.array((1.0, shared[8]))
+    off_px = position_px - shared[1:3]
+    xy = off_px / focal * high
     x, y = xy.T
     r2 = x * x + y * y
     radial, slope = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
@@ -257,32 +275,31 @@ def _ideal(
     across = 2.0 * (slope * x * y + p1 * x + p2 * y)
     along_x = radial + 2.0 * slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
     along_y = radial + 2.0 * slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-    by_acquired = np.stack((along_x, across, across, along_y), axis=-1).reshape(-1, 2, 2)
-    by_shared = np.empty((len(xy), 2, 8))
-    by_shared[..., 0] = bent - (by_acquired @ xy[..., None])[..., 0]
+    by_square = np.stack((along_x, across, across, along_y), axis=-1).reshape(-1, 2, 2)
+    by_acquired = by_square * high
+    by_shared = np.empty((len(xy), 2, 9))
+    by_shared[..., 0] = bent - (by_square @ xy[..., None])[..., 0]
     by_shared[..., 1:3] = np.eye(2) - by_acquired
     by_shared[..., 3:6] = focal * xy[..., None] * np.stack((r2, r2**2, r2**3), axis=-1)[:, None]
-    by_shared[:, 0, 6:] = focal * np.stack((2.0 * x * y, r2 + 2.0 * x * x), axis=-1)
-    by_shared[:, 1, 6:] = focal * np.stack((r2 + 2.0 * y * y, 2.0 * x * y), axis=-1)
+    by_shared[:, 0, 6:8] = focal * np.stack((2.0 * x * y, r2 + 2.0 * x * x), axis=-1)
+    by_shared[:, 1, 6:8] = focal * np.stack((r2 + 2.0 * y * y, 2.0 * x * y), axis=-1)
+    by_shared[..., 8] = by_square[..., 1] * off_px[:, 1:]
     return shared[1:3] + focal * bent, by_acquired, by_shared
 
 
 def _project(
     shared: NDArray[np.float64], pose: NDArray[np.float64], plane_mm: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Ideal pixels (N, 2) of a board, derivatives by shared numbers (N, 2, S) and by its pose (N, 2, 6)."""
+    """Ideal pixels (N, 2) of a board, derivatives by shared numbers (N, 2, 9) and by its pose (N, 2, 6)."""
     import cv2
 
-    high = shared[8] if len(shared) > 8 else 1.0  # rows are fewer where pixels are high
-    matrix = np.array(((shared[0], 0.0, shared[1]), (0.0, shared[0] / high, shared[2]), (0.0, 0.0, 1.0)))
+    matrix = np.array(((shared[0], 0.0, shared[1]), (0.0, shared[0], shared[2]), (0.0, 0.0, 1.0)))
     space = np.column_stack((plane_mm, np.zeros(len(plane_mm))))
     pixel, by = cv2.projectPoints(space, pose[:3], pose[3:], matrix, None)
     by = by.reshape(len(plane_mm), 2, -1)
     by_shared = np.zeros((len(plane_mm), 2, len(shared)))
-    by_shared[..., 0] = by[..., 6] + by[..., 7] / high
+    by_shared[..., 0] = by[..., 6] + by[..., 7]
     by_shared[..., 1:3] = by[..., 8:10]
-    if len(shared) > 8:
-        by_shared[..., 8] = -by[..., 7] * shared[0] / high**2
     return np.asarray(pixel[:, 0], np.float64), by_shared, np.asarray(by[..., :6], np.float64)
 
 
@@ -293,8 +310,9 @@ def _linearise(numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[ND
     for board, own, pose in zip(boards, used, numbers.poses, strict=True):
         seen, by_acquired, by_lens = _ideal(numbers.shared, board.position_px[own])
         computed, by_shared, by_pose = _project(numbers.shared, pose, board.plane_mm[own])
-        by_shared[..., :8] -= by_lens
-        every = np.concatenate((by_shared * scale, by_pose * pose_scale, (seen - computed)[..., None]), axis=-1)
+        every = np.concatenate(
+            ((by_shared - by_lens) * scale, by_pose * pose_scale, (seen - computed)[..., None]), axis=-1
+        )
         every = np.linalg.solve(by_acquired, every) / board.sigma_px[own][..., None]
         rows = every.reshape(-1, every.shape[-1])
         out.append(_Linear(rows[:, : len(scale)], rows[:, len(scale) : -1], rows[:, -1]))
@@ -306,12 +324,6 @@ def _scales(numbers: _Numbers) -> tuple[NDArray[np.float64], NDArray[np.float64]
     focal, far = numbers.shared[0], float(np.median(numbers.poses[:, 5]))
     shared = np.array((focal, focal, focal, *([1.0] * (len(numbers.shared) - 3))))
     return shared, np.array((1.0, 1.0, 1.0, far, far, far))
-
-
-def _weights(numbers: _Numbers) -> NDArray[np.float64]:
-    """Inverse variances of the shared numbers that are known before, unscaled."""
-    extra = len(numbers.shared) - len(PRIOR)
-    return np.asarray(np.r_[1.0 / PRIOR**2, np.zeros(extra)], np.float64)
 
 
 class _Reduced(NamedTuple):
@@ -334,23 +346,25 @@ def _reduce(frame: _Linear, damping: float = 0.0) -> _Reduced:
 
 
 def _adjust(
-    start: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]]
+    start: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]], prior: NDArray[np.float64]
 ) -> tuple[_Numbers, list[NDArray[np.float64]]]:
-    """Levenberg-Marquardt from a start; the numbers, and residuals (N, 2) [px] of all marks."""
-    numbers, damping = start, 1e-3
-    cost = _cost(numbers, boards, used)
+    """Levenberg-Marquardt from a start; the numbers, and residuals (N, 2) [px] of all marks.
+
+    `prior` are the standard deviations (9,) of the shared numbers about `SQUARE`.
+    """
+    numbers, damping, weight = start, 1e-3, 1.0 / prior**2
+    cost = _cost(numbers, boards, used, weight)
     for _ in range(ROUNDS):
         scale, pose_scale = _scales(numbers)
-        weight = _weights(numbers)
         parts = [_reduce(frame, damping) for frame in _linearise(numbers, boards, used)]
         matrix = sum(part.matrix for part in parts) + np.diag(weight * scale**2)
-        right = sum(part.right for part in parts) - weight * numbers.shared * scale
+        right = sum(part.right for part in parts) - weight * (numbers.shared - SQUARE) * scale
         step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), right)
         trial = _Numbers(
             numbers.shared + step * scale,
             numbers.poses + np.array([part.own - part.gain @ step for part in parts]) * pose_scale,
         )
-        better = _cost(trial, boards, used)
+        better = _cost(trial, boards, used, weight)
         if better < cost:
             settled = cost - better < SETTLED * cost
             numbers, cost, damping = trial, better, damping * 0.1
@@ -365,35 +379,29 @@ def _adjust(
     ]
 
 
-def _cost(numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]]) -> float:
+def _cost(
+    numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]], weight: NDArray[np.float64]
+) -> float:
     off = [
         ((_residual(numbers.shared, pose, board)[own] / board.sigma_px[own]) ** 2).sum()
         for board, own, pose in zip(boards, used, numbers.poses, strict=True)
     ]
-    total = float(sum(off) + (_weights(numbers) * numbers.shared**2).sum())
+    total = float(sum(off) + (weight * (numbers.shared - SQUARE) ** 2).sum())
     return (
         total if np.isfinite(total) and numbers.shared[0] > 0.0 and (numbers.poses[:, 5] > 0.0).all() else np.inf
     )
 
 
 def _covariance(
-    numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]]
+    numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]], prior: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Covariance of the shared numbers, each variance the larger of both kinds."""
     scale, _ = _scales(numbers)
     parts = [_reduce(frame) for frame in _linearise(numbers, boards, used)]
-    total = sum(part.matrix for part in parts) + np.diag(_weights(numbers) * scale**2)
+    total = sum(part.matrix for part in parts) + np.diag(scale**2 / prior**2)
     usual = np.linalg.inv(total)
     # Without frame i the shared numbers move by (total - own)^-1 times its right side.
     moved = np.array([np.linalg.solve(total - part.matrix, -part.right) for part in parts])
     jackknife = ((moved - moved.mean(axis=0)) ** 2).sum(axis=0) * (len(parts) - 1) / len(parts)
     wider = np.sqrt(np.maximum(1.0, jackknife / np.diag(usual))) * scale
     return np.asarray(usual * np.outer(wider, wider))
-
-
-def _pixel_ratio(
-    numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]]
-) -> tuple[float, float]:
-    """Height over width of a pixel, if it is left free, and its standard deviation."""
-    free, _ = _adjust(replace(numbers, shared=np.r_[numbers.shared, 1.0]), boards, used)
-    return float(free.shared[8]), float(np.sqrt(_covariance(free, boards, used)[8, 8]))

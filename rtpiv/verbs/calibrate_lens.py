@@ -20,7 +20,7 @@ from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.report.table import Table
 from rtpiv.verbs.results import results_in
 from tracer.errors import SceneError
-from tracer.scene.fit_section import FitTable
+from tracer.scene.fit_section import FitCameraTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
@@ -77,10 +77,11 @@ def calibrate_lens(
         if not seen:
             name, why = next(iter(missed.items()))
             raise ViewsMissing(f"no frame shows the board; {name}: {why}")
-        fit = fit_lens(seen, (first.shape[1], first.shape[0]))
+        known = FitCameraTable() if nominal is None else nominal[1].camera
+        fit = fit_lens(seen, (first.shape[1], first.shape[0]), known.pixel_aspect)
         fit = replace(fit, refused={**missed, **fit.refused})
         write_json(out / "lens.json", _facts(fit))
-        if nominal is not None:
+        if nominal is not None and fit.has_square_pixels:
             write_text(out / "scene.yaml", _with_lens(*nominal, fit))
         _show(fit)
         if pictures:
@@ -97,8 +98,12 @@ def calibrate_lens(
                     first.shape,
                 )
             console().print(f"look at {out / 'residuals.png'}", style="bold")
-        and_scene = "" if nominal is None else ", and scene.yaml with this lens and its uncertainty,"
-        console().print(f"lens.json{and_scene} {'is' if nominal is None else 'are'} in {out}")
+        if nominal is None:
+            console().print(f"lens.json is in {out}")
+        elif fit.has_square_pixels:
+            console().print(f"lens.json, and scene.yaml with this lens and its uncertainty, are in {out}")
+        else:
+            console().print(f"lens.json is in {out}; no scene.yaml, as cameras of scenes have square pixels")
         return fit
 
 
@@ -107,13 +112,14 @@ def _with_lens(scene: Scene, priors: FitTable, fit: LensFit) -> str:
     found = fit.camera
     camera = replace(scene.camera, focal_px=found.focal_px, principal_px=found.principal_px, lens=found.lens)
     known = dict(zip(SHARED, fit.sigma.tolist(), strict=True))
+    del known["pixel_aspect"]
     known["principal_px"] = max(known.pop("principal_u_px"), known.pop("principal_v_px"))
     known_camera = priors.camera.model_copy(update=known)
     return dump_scene(replace(scene, camera=camera), priors.model_copy(update={"camera": known_camera}))
 
 
 def _facts(fit: LensFit) -> dict[str, object]:
-    ratio, sigma = fit.pixel_ratio
+    ratio, sigma = fit.seen_aspect
     return {
         "sensor_px": list(fit.camera.sensor_px),
         "numbers": dict(zip(SHARED, fit.numbers.tolist(), strict=True)),

@@ -48,6 +48,7 @@ class FitCameraTable(Table):
     k3: Sigma = 0.0
     p1: Sigma = 0.0
     p2: Sigma = 0.0
+    pixel_aspect: Sigma = 1e-4  # of boards held by hand alone: cameras of scenes have square pixels
 
 
 class FitSphereTable(Table):

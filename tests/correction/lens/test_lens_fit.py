@@ -86,11 +86,29 @@ def test_a_board_of_another_size_or_out_of_flat_is_named_and_left_out():
     assert abs(found.camera.focal_px - 2000.0) < 4.0 * found.sigma[0]
 
 
-def test_pixels_that_are_not_square_are_a_warning():
+def test_pixels_that_are_not_square_are_found_and_free_where_frames_show_them():
     rng = np.random.default_rng(7)
-    found = fit_lens(boards(rng, matrix_of(2000.0, high=1.01), np.zeros(5)), SENSOR)
-    assert found.pixel_ratio[0] == pytest.approx(1.01, abs=4.0 * found.pixel_ratio[1])
-    assert "times as high as wide" in found.warnings[0]
+    terms = np.array((-0.2, 0.05, 0.001, -0.0005, 0.0))
+    pulls = []
+    for high in (1.01, 0.97, 1.2):
+        found = fit_lens(boards(rng, matrix_of(2000.0, high=high), terms), SENSOR)
+        assert not found.has_square_pixels
+        assert "times as high as wide" in found.warnings[0]
+        assert found.rms_px < 0.1
+        pulls.append((found.numbers[[0, 8]] - (2000.0, high)) / found.sigma[[0, 8]])
+    assert np.abs(pulls).max() < 4.0
+
+
+def test_square_pixels_stay_square_unless_they_are_freed():
+    rng = np.random.default_rng(8)
+    seen = boards(rng, matrix_of(2000.0), np.zeros(5), noise_px=0.2)
+    square, free = fit_lens(seen, SENSOR), fit_lens(seen, SENSOR, aspect_sigma=0.1)
+    assert square.has_square_pixels
+    assert abs(square.numbers[8] - 1.0) < 1e-4
+    assert square.sigma[8] <= 1e-4
+    assert free.sigma[8] > 1.2e-4
+    assert free.sigma[8] == pytest.approx(free.seen_aspect[1], rel=0.01)
+    assert abs(free.numbers[8] - 1.0) < 4.0 * free.sigma[8]
 
 
 def test_photographs_agree_with_opencv_and_become_the_prior_of_a_scene(tmp_path, capsys):
