@@ -25,7 +25,8 @@ from correction.maps.aperture import through_pupil
 from correction.maps.correction_map import CorrectionMap, build_correction_map, code_here
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import Dewarp
-from correction.maps.lit import through_light
+from correction.maps.height_change import HeightChange
+from correction.maps.lit import PlaneLight, light_of, through_light
 from ground.errors import GroundError
 from piv.resampling.sample import Method
 from tracer.errors import TracerError
@@ -48,11 +49,21 @@ class PreparedCorrection:
         With the correction map and the dewarp that it was made from.
     content_key : str
         Of everything that the corrected pixels depend on, see `content_key`.
+    light : PlaneLight, optional
+        Light that the map was looked up on; None if the scene gives no source.
     """
 
     scene: Scene
     corrector: Corrector
     content_key: str
+    light: PlaneLight | None = None
+
+    @cached_property
+    def height_change(self) -> HeightChange | None:
+        """Bias of displacements by the change of the light's height; None where the light lies in the plane."""
+        if self.light is None or not self.light.is_bent:
+            return None
+        return HeightChange.of(self.corrector.map, self.scene, self.light)
 
     @cached_property
     def ray_map(self) -> RayMap:
@@ -132,9 +143,14 @@ def prepare(
         The limit is that of another scene's fit.
     """
     found = _map(scene, max(layers, view + 1), maps, _other(grid, scene))
-    found = through_pupil(through_light(found.of_view(view) if view else found, scene), scene)
+    light = light_of(scene, found.grid)
+    if view:
+        found = found.of_view(view)
+    lit = through_light(found, scene, light)
+    found = through_pupil(lit, scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
-    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid, view))
+    key = content_key(scene, dewarp, method, layers, limit, grid, view)
+    return PreparedCorrection(scene, corrector, key, light)
 
 
 class PreparedCorrections:

@@ -5,8 +5,8 @@ X that is lit at the height h stands on the ray that meets the plane at X - h dX
 
     du = -(d pixel / d node) (P + h dX/dz - X) / pitch,      P where the ray of u meets the plane,
 
-and once more where that was a long way.  A particle keeps its own height while it moves: where h changes, its
-displacement d is off by (d . grad h) dX/dz, 0.01 px of 5 px behind two balls (median).
+and once more where that was a long way.  A particle keeps its own height while it moves, so that displacements are
+biased where h changes (`correction.maps.height_change`).
 
 A sheet that lies dz higher lights its particles r dz higher, r = 1 + dh/dz: 1 without bodies, 0 at the focus of a
 ball, negative beyond.  The uncertainty of the sheet's height and tilt is multiplied by r (`HeightRate`).

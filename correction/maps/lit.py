@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.maps.correction_map import CorrectionMap, nodes_in_glass
-from correction.maps.light_height import at_light
+from correction.maps.light_height import LEVEL_MM, at_light
 from correction.node_status import NodeStatus
 from tracer.bodies import CONTACT_TOL_MM
 from tracer.errors import SceneError
@@ -43,6 +43,11 @@ class PlaneLight:
     grid: PlaneGrid
     light: LightMap
     every: int
+
+    @property
+    def is_bent(self) -> bool:
+        """Return whether the light lies beside the plane of the sheet anywhere."""
+        return bool(np.nanmax(np.abs(self.light.height_mm)) > LEVEL_MM)
 
     def too_dark(self) -> NDArray[np.bool_]:
         """Nodes (h, w) with less than LEAST_BRIGHTNESS."""
@@ -87,7 +92,7 @@ def light_of(scene: Scene, grid: PlaneGrid) -> PlaneLight | None:
     return PlaneLight(coarse, light, every)
 
 
-def through_light(found: CorrectionMap, scene: Scene, lit: PlaneLight | None = None) -> CorrectionMap:
+def through_light(found: CorrectionMap, scene: Scene, lit: PlaneLight | None) -> CorrectionMap:
     """Return a map of the light's surface, without nodes that it lights too little or too much.
 
     It is the same map without a source.
@@ -99,9 +104,8 @@ def through_light(found: CorrectionMap, scene: Scene, lit: PlaneLight | None = N
     scene : Scene
         In its light sheet.
     lit : PlaneLight, optional
-        `light_of` the scene on the map's grid, if at hand.
+        `light_of` the scene on the map's grid.
     """
-    lit = lit or light_of(scene, found.grid)
     if lit is None:
         return found
     for nodes, why in ((lit.too_dark(), NodeStatus.DARK), (lit.too_bright(), NodeStatus.OVERLIT)):

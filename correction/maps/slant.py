@@ -92,16 +92,43 @@ def vector_slopes(found: CorrectionMap, scene: Scene, windows: WindowGrid, windo
         The map belongs to another scene.
     """
     slopes = node_slopes(found, scene, SLOPE_NODE_STEP)[0]
-    height, width = found.grid.shape
-    down, along = (
-        _weights(first, size, windows.size_px, window_sigma)
-        for first, size in ((windows.row, height), (windows.column, width))
-    )
-    seen = np.isfinite(slopes).all(axis=-1)
+    return WindowMeans(windows, window_sigma, found.grid.shape).of(slopes)
+
+
+class WindowMeans:
+    """Means over windows of what is known on every SLOPE_NODE_STEP-th node of a corrected frame.
+
+    Parameters
+    ----------
+    windows : WindowGrid
+        The windows.
+    window_sigma : float
+        Of their weights, see `piv.correlation.settings.PivSettings`.
+    shape : (int, int)
+        Of the frame.
+    """
+
+    def __init__(self, windows: WindowGrid, window_sigma: float, shape: tuple[int, int]) -> None:
+        self.down, self.along = (
+            _weights(first, size, windows.size_px, window_sigma)
+            for first, size in zip((windows.row, windows.column), shape, strict=True)
+        )
+
+    def of(self, nodes: Floats) -> Floats:
+        """Return means (ny, nx, 2) of vectors (h, w, 2) over the nodes that have one; NaN without."""
+        return _weighted_means(nodes, self.down, self.along)
+
+    def at_nodes(self, vectors: Floats) -> Floats:
+        """Return means (h, w, 2) at nodes of the vectors (ny, nx, 2) whose windows hold them; NaN without."""
+        return _weighted_means(vectors, self.down.T, self.along.T)
+
+
+def _weighted_means(values: Floats, down: NDArray[Any], along: NDArray[Any]) -> Floats:
+    """Means (m, n, 2) of values (h, w, 2), weighted along each axis; values that are NaN do not count."""
+    seen = np.isfinite(values).all(axis=-1)
     total = down @ seen.astype(np.float64) @ along.T
-    sums = [down @ np.where(seen, part, 0.0) @ along.T for part in np.moveaxis(slopes, -1, 0)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means: Floats = np.stack(sums, axis=-1) / np.where(total > 0.0, total, np.nan)[..., None]
+    sums = [down @ np.where(seen, part, 0.0) @ along.T for part in np.moveaxis(values, -1, 0)]
+    means: Floats = np.stack(sums, axis=-1) / np.where(total > 0.0, total, np.nan)[..., None]
     return means
 
 

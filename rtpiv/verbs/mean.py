@@ -19,7 +19,7 @@ from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pairs.slanted import viewing_slopes
 from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.report.kept_page import PAGE, is_current, note_page, page_key
-from rtpiv.analysis.series.ensemble_series import ensemble_flow
+from rtpiv.analysis.series.ensemble_series import SUMMED, ensemble_flow
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.self_check import check_sheet, spheres_checked
@@ -33,7 +33,6 @@ from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import show_mean, show_series, show_through
 
-SUMMED = 0.0  # weights of windows that are sums of cells: none
 OUT_OF_PLANE = ("sigma_w_m_s", "w_over_u")  # options that change only uncertainties
 
 

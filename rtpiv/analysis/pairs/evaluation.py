@@ -286,22 +286,26 @@ class Correlated:
 def correlate_pair(
     raw: tuple[NDArray[Any], NDArray[Any]],
     corrected: tuple[NDArray[np.float32], NDArray[np.float32]],
-    corrector: Corrector,
+    prepared: PreparedCorrection,
     settings: PivSettings,
     preparation: Preparation,
     still: NDArray[np.bool_] | None = None,
 ) -> Correlated:
-    """Correlate a pair of corrected frames; PairError or FrameError if they are no pair.
+    """Correlate a pair of frames corrected as `prepared`; PairError or FrameError if they are no pair.
 
     `still` (h, w) is what others have found of light that stands still; without it these frames show it, as they
     are before any step that brings light to one height.
     """
-    seen = corrector.recovered
+    seen = prepared.corrector.recovered
     if still is None and preparation.steps:
         found = still_light([corrected], seen & np.isfinite(corrected[0]) & np.isfinite(corrected[1]))
         still = np.zeros(seen.shape, bool) if found is None else found
     ready_a, ready_b = (preparation.apply(each, seen) for each in corrected)
-    return Correlated(raw, corrected[0], evaluate_pair(ready_a, ready_b, seen, settings, still=still))
+    field = evaluate_pair(ready_a, ready_b, seen, settings, still=still)
+    if prepared.height_change is not None:
+        windows = settings.result_grid(seen.shape)
+        field = prepared.height_change.remove_from(field, windows, settings.window_sigma)
+    return Correlated(raw, corrected[0], field)
 
 
 def evaluate_task(task: Task, prepared: PreparedCorrection, how: PairMethod) -> Evaluation:
@@ -335,7 +339,7 @@ def evaluate_task(task: Task, prepared: PreparedCorrection, how: PairMethod) -> 
     frame_a, frame_b = (read_acquired(path, task.scene.camera.shape) for path in task.frames)
     path_a, path_b = task.frames
     corrected = _correct_frame(corrector, path_a, frame_a), _correct_frame(corrector, path_b, frame_b)
-    pair = correlate_pair((frame_a, frame_b), corrected, corrector, how.settings, how.preparation)
+    pair = correlate_pair((frame_a, frame_b), corrected, prepared, how.settings, how.preparation)
     return evaluate_correlated(task, prepared, how, pair)
 
 

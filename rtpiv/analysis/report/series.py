@@ -131,7 +131,7 @@ def preview(job: ChunkJob, field: VectorField | None = None) -> Preview | None:
         return None
     both = corrector(a), corrector(b)
     field = (
-        field or correlate_pair((a, b), both, corrector, method.settings, method.preparation, still_in(job)).field
+        field or correlate_pair((a, b), both, prepared, method.settings, method.preparation, still_in(job)).field
     )
     corrected = both[0]
     seen = before_after(raw, corrected, corrector, method.scene, full_scale(pair.frames[0], raw))

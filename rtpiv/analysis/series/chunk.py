@@ -98,7 +98,7 @@ def evaluate_chunk_closely(job: ChunkJob, how: PairMethod) -> list[tuple[str, De
 def _correlate_pairs(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
     """Each pair of a chunk correlate_pair, or why it is not; SeriesError if this process has other code."""
     _require_the_planned_code(job.method)
-    corrector, method, still = correction_of(job.maps, job.method).corrector, job.method, still_in(job)
+    prepared, method, still = correction_of(job.maps, job.method), job.method, still_in(job)
     for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
         if isinstance(a, str) or isinstance(b, str):
             yield pair, a if isinstance(a, str) else str(b)
@@ -107,8 +107,8 @@ def _correlate_pairs(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | s
             yield pair, REPEATED
             continue
         try:
-            both = corrector(a), corrector(b)
-            seen = correlate_pair((a, b), both, corrector, method.settings, method.preparation, still)
+            both = prepared.corrector(a), prepared.corrector(b)
+            seen = correlate_pair((a, b), both, prepared, method.settings, method.preparation, still)
         except (PairError, FrameError) as error:  # dark frames are alike too, and that they are dark says more
             yield pair, str(error)
             continue

@@ -44,6 +44,7 @@ PARTS = 8  # of a sweep at least, where there are pairs for so many
 SWEEPS = 2  # over all pairs
 LEAST_SHARE = 0.25  # of the pairs that must have a vector where the first sweep believes their mean
 SAME_DT = 0.01  # relative
+SUMMED = 0.0  # weights of windows that are sums of cells: none
 LEVEL_PX = 32  # side of the windows in which frames are brought to one level
 
 
@@ -230,6 +231,10 @@ def ensemble_flow(
         if number < SWEEPS:
             sweep = next_sweep(found, sweep)
     assert found is not None
+    if prepared.height_change is not None:
+        bias, sigma_px = prepared.height_change.bias_px(found.mean_px, found.grid, SUMMED)
+        unresolved = np.hypot(found.resolution_px, sigma_px)
+        found = replace(found, mean_px=found.mean_px - bias, resolution_px=unresolved)
     on_plane = _on_plane(found, prepared.corrector.map.grid, float(dts.mean()))
     return replace(on_plane, dt_sigma_share=mean.dt_sigma_share, is_timed=mean.is_timed, length=mean.length)
 
