@@ -55,6 +55,15 @@ def test_balls_that_their_priors_do_not_part_are_refused(tmp_path, second):
         scene_of(tmp_path, [("a", 0.0, 0.0, 8.0), second])
 
 
+def test_many_overlaps_are_one_sentence_about_the_deepest(tmp_path):
+    """A radius that is wrong in every row makes each contact an overlap."""
+    line = [(f"b{k}", x, 0.0, 8.0) for k, x in enumerate((0.0, 13.0, 25.0, 38.0))]
+    with pytest.raises(ConfigError) as refusal:
+        scene_of(tmp_path, line)
+    (problem,) = refusal.value.problems
+    assert "'b1' and 'b2' overlap by 4 mm, the deepest of 3 overlapping pairs" in problem.text
+
+
 def test_a_scene_without_overlaps_is_left_alone(tmp_path, capfd):
     found = scene_of(tmp_path, [("a", 0.0, 0.0, 8.0), ("b", 16.0, 0.0, 8.0)])
     assert found["b"].tolist() == [16.0, 0.0, 8.0]

@@ -327,14 +327,14 @@ class Scene:
         gaps += [
             (one, other, _gap_mm(one, other)) for one, other in combinations(others, 2) if one.media or other.media
         ]
-        return [
-            (
-                other.name,
-                f"bodies {one.name!r} and {other.name!r} overlap by {-gap_mm:.6g} mm; they may touch, not overlap",
-            )
-            for one, other, gap_mm in gaps
-            if gap_mm < -CONTACT_TOL_MM
-        ]
+        deep = [pair for pair in gaps if pair[2] < -CONTACT_TOL_MM]
+        if not deep:
+            return []
+        one, other, gap_mm = min(deep, key=lambda pair: pair[2])
+        text = f"bodies {one.name!r} and {other.name!r} overlap by {-gap_mm:.6g} mm"
+        if len(deep) > 1:
+            text += f", the deepest of {len(deep)} overlapping pairs"
+        return [(other.name, f"{text}; they may touch, not overlap")]
 
 
 def _in_short(row: NDArray[np.float64]) -> list[float]:
