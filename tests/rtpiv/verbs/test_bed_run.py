@@ -1,5 +1,6 @@
 """A bed from `init` to its mean flow: calibrated with the board behind it, through an aperture, in bent light."""
 
+import json
 import re
 from pathlib import Path
 
@@ -58,11 +59,14 @@ def mean_errors(series: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return (mean[known] - FLOW_M_S) * to_px, sigma[known] * to_px
 
 
-def centre_errors(fitted: Path, truth: Path) -> NDArray[np.float64]:
-    """Errors (B, 3) [mm] of the centres of all balls."""
-    true = yaml.safe_load(truth.read_text())["bodies"]
+def centre_errors(fitted: Path, seen: Path) -> NDArray[np.float64]:
+    """Errors (B, 3) [mm] of the centres of all balls, where the play of the axes had them in the run `seen`."""
+    true = yaml.safe_load((seen / "truth.yaml").read_text())["bodies"]
+    lines = [json.loads(line) for line in (seen / "steps.jsonl").read_text().splitlines()]
+    stood = [one["true_mm"] for one in lines if one.get("tag", "").startswith("target_glass")]
+    play_mm = np.mean([[place[f"glass_{axis}"] for axis in "xyz"] for place in stood], axis=0)
     found = {ball.name: ball.centre_mm for ball in load_scene(fitted).spheres}
-    return np.array([np.subtract(found[ball["name"]], ball["centre_mm"]) for ball in true])
+    return np.array([np.subtract(found[ball["name"]], ball["centre_mm"]) for ball in true]) - play_mm
 
 
 def judge_bed(folder: Path) -> None:
@@ -70,7 +74,7 @@ def judge_bed(folder: Path) -> None:
     (seen,), (flow,) = (tuple(folder.glob(f"runs/*{plan}")) for plan in ("plan-target", "plan-flow"))
     off, sigma = mean_errors(flow / "series")
     within = float(np.mean(np.abs(off) < sigma))
-    centres = centre_errors(folder / "bedfit" / "scene.yaml", seen / "truth.yaml")
+    centres = centre_errors(folder / "bedfit" / "scene.yaml", seen)
     rms = np.sqrt(np.mean(centres**2, axis=0))
     print(len(off), np.median(np.abs(off)), np.sqrt(np.mean(off**2)), within, rms)
     assert len(off) > 500
@@ -78,7 +82,7 @@ def judge_bed(folder: Path) -> None:
     assert np.sqrt(np.mean(off**2)) < 0.03
     assert 0.63 < within < 0.80
     assert rms[:2].max() < 0.015
-    assert rms[2] < 0.06
+    assert rms[2] < 0.035
 
 
 @pytest.mark.slow
