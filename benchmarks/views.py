@@ -98,28 +98,43 @@ def flow_of(name: str, size_px: int, seed: int, turbulence: float) -> Flow:
     return Flow(Waves(pitch_mm / DT_S, turbulence), modes)
 
 
-def write_frames(said: argparse.Namespace) -> None:
-    """Write the frames and the scene of every camera."""
+def path_of(said: argparse.Namespace, number: int) -> Array:
+    """Place (3,) of the first ball in a pair [mm], from that in the first pair: a straight drift, or a knock."""
+    share = number / max(said.pairs - 1, 1) if said.knock is None else float(number >= said.knock)
+    return np.asarray(share * 1e-3 * np.array(said.drift))
+
+
+def cameras_of(said: argparse.Namespace, step_mm: Array) -> list[FlowCamera]:
+    """Cameras before one flow, while the first ball is off its place."""
     cameras: list[FlowCamera] = []
     z_mm, along_x, along_y = said.sheet
     sheet = LightSheet(offset_mm=z_mm, slope_x=along_x, slope_y=along_y)
     for place, degrees in enumerate(said.degrees):
         other = place if said.moved else 0
+        scene = scene_at(said.name, degrees, said.size)
+        if step_mm.any():
+            ball, *others = scene.bodies
+            scene = scene.with_bodies([ball.moved(translate_by(tuple(step_mm.tolist()))), *others])
+        flow = flow_of(said.name, said.size, said.seed + other, said.turbulence)
+        noise = 1000 * said.seed + place
         cameras.append(
-            FlowCamera(
-                scene_at(said.name, degrees, said.size),
-                flow_of(said.name, said.size, said.seed + other, said.turbulence),
-                sheet,
-                seed=said.seed + other,
-                noise_seed=1000 * said.seed + place,
-                cameras=lambda: cameras,
-            )
+            FlowCamera(scene, flow, sheet, seed=said.seed + other, noise_seed=noise, cameras=lambda: cameras)
         )
-    for place, camera in enumerate(cameras):
-        folder = said.frames / f"camera{place + 1}"
-        (folder / "frames").mkdir(parents=True, exist_ok=True)
-        (folder / "scene.yaml").write_text(dump_scene(camera.scene))
-        for number in range(said.pairs):
+    return cameras
+
+
+def write_frames(said: argparse.Namespace) -> None:
+    """Write the frames and the scene of every camera."""
+    cameras = list[FlowCamera]()
+    for number in range(said.pairs):
+        step = path_of(said, number)
+        if number == 0 or np.any(step != path_of(said, number - 1)):
+            cameras = cameras_of(said, step)
+        for place, camera in enumerate(cameras, start=1):
+            folder = said.frames / f"camera{place}"
+            (folder / "frames").mkdir(parents=True, exist_ok=True)
+            if number == 0:
+                (folder / "scene.yaml").write_text(dump_scene(camera.scene))
             both = camera.pair(number, DT_S, number / RATE_HZ)
             for letter, frame in zip("ab", both, strict=True):
                 tifffile.imwrite(folder / "frames" / f"{number:05d}_{letter}.tif", frame)
@@ -215,6 +230,8 @@ def main() -> None:
     parser.add_argument("--turbulence", type=float, default=0.2, help="px, each component")
     parser.add_argument("--moved", action="store_true", help="one camera that was moved between runs")
     parser.add_argument("--sheet", type=float, nargs=3, default=[0.0, 0.0, 0.0], help="z [mm], slopes along x, y")
+    parser.add_argument("--drift", type=float, nargs=3, default=[0.0, 0.0, 0.0], help="um, of the first ball")
+    parser.add_argument("--knock", type=int, help="pair before which it is moved at once, in place of a drift")
     parser.add_argument("--frames", type=Path)
     parser.add_argument("--judge", type=Path)
     said = parser.parse_args()

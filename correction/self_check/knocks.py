@@ -101,18 +101,13 @@ def find_knock(disparity: Floats, candidates: Sequence[Candidate]) -> Knock | No
     Knock or None
         The clearest; None if there is none, or fewer pairs than `min_pairs`.
     """
-    known = np.isfinite(disparity).all(axis=-1).mean(axis=0) >= MIN_SEEN
-    for one in candidates:
-        known &= np.isfinite(one.rates).all(axis=(1, 2))
-    if len(disparity) < min_pairs(candidates) or not known.any():
+    if len(disparity) < min_pairs(candidates):
         return None
-    off = disparity[:, known]
-    off = off - np.nanmedian(off, axis=0)
-    change = np.abs(np.diff(off, axis=0))  # which a knock enters once
-    typical = np.nanmedian(change, axis=0) / np.sqrt(2.0)
-    scatter = np.maximum(TO_SIGMA * typical, 1e-12)
-    white = np.clip(off / scatter, -WINSOR, WINSOR)
-    parts = [_Follower.of(one, known, scatter) for one in candidates]
+    found = WhiteDisparity.of(disparity, candidates)
+    if found is None:
+        return None
+    white = found.values
+    parts = [_Follower.of(one, found.known, found.scatter) for one in candidates]
     tests = np.stack([part.test(white) for part in parts])
     chances = tests[:, :, 1]
     least = float(chances.min()) * chances.size
@@ -134,10 +129,50 @@ def find_knock(disparity: Floats, candidates: Sequence[Candidate]) -> Knock | No
 
 
 @dataclass(frozen=True, eq=False)
+class WhiteDisparity:
+    """Changes of the disparity in units of their scatter, at places that most pairs show.
+
+    Parameters
+    ----------
+    values : ndarray of float64, shape (K, M, 2)
+        From the median of the run; NaN where not known.
+    known : ndarray of bool, shape (N,)
+        The places.
+    scatter : ndarray of float64, shape (M, 2)
+        Standard deviation of a pair.
+    """
+
+    values: Floats
+    known: NDArray[np.bool_]
+    scatter: Floats
+
+    @classmethod
+    def of(cls, disparity: Floats, candidates: Sequence[Candidate]) -> "WhiteDisparity | None":
+        """Return that of disparities (K, N, 2); None where no place is known well enough."""
+        known = np.isfinite(disparity).all(axis=-1).mean(axis=0) >= MIN_SEEN
+        for one in candidates:
+            known &= np.isfinite(one.rates).all(axis=(1, 2))
+        if len(disparity) < 2 or not known.any():
+            return None
+        off = disparity[:, known]
+        off = off - np.nanmedian(off, axis=0)
+        change = np.abs(np.diff(off, axis=0))  # which a knock enters once
+        typical = np.nanmedian(change, axis=0) / np.sqrt(2.0)
+        scatter = np.maximum(TO_SIGMA * typical, 1e-12)
+        return cls(np.clip(off / scatter, -WINSOR, WINSOR), known, scatter)
+
+
+def position_fit(one: Candidate, white: WhiteDisparity) -> Floats:
+    """Return the positions (K, P) of a candidate in each pair."""
+    return _Follower.of(one, white.known, white.scatter).positions(white.values)
+
+
+@dataclass(frozen=True, eq=False)
 class _Follower:
-    """Weighted derivatives (M, P) of a candidate, and the inverse of its normal matrix."""
+    """Weighted derivatives (M, P) of a candidate, its normal matrix with the prior, and the inverse."""
 
     rows: Floats
+    normal: Floats
     inverse: Floats
 
     @classmethod
@@ -145,11 +180,19 @@ class _Follower:
         rows = one.rates[known] / scatter[..., None]
         rows = rows.reshape(-1, len(one.prior))
         normal = rows.T @ rows + np.diag(np.square(1.0 / one.prior))
-        return cls(rows, np.asarray(np.linalg.inv(normal), np.float64))
+        return cls(rows, normal, np.asarray(np.linalg.inv(normal), np.float64))
 
     def positions(self, white: Floats) -> Floats:
-        """Return the position (K, P) in each pair; a place that is not seen counts as unmoved."""
-        return np.asarray(np.nan_to_num(white).reshape(len(white), -1) @ self.rows @ self.inverse)
+        """Return the position (K, P) in each pair by the places that it shows; one without any has not moved."""
+        values = white.reshape(len(white), -1)
+        found = np.zeros((len(values), len(self.inverse)))
+        for number, one in enumerate(values):
+            lost = np.isnan(one)
+            if not lost.all():
+                hidden = self.rows[lost]
+                normal = self.normal - hidden.T @ hidden
+                found[number] = np.linalg.solve(normal, np.nan_to_num(one) @ self.rows)
+        return found
 
     def covariance(self, found: Floats, first: int) -> Floats:
         """Covariance (P, P) of a position by its changes from pair to pair, but that to pair `first`."""

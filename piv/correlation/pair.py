@@ -111,6 +111,7 @@ PASS_CHANGE_PX, PASS_CHANGED_SHARE = 0.25, 0.03  # more vectors moved by more: a
 MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and the error that the rest may cause
 MAX_NOISE_PX = 0.5  # of one correlation: with more, a peak at a whole pixel (0.58 px) is no worse
 MATCH_SIDE = 1.5  # in last windows: side of the area around an uncertain vector that must match
+BEYOND_CUT = 0.5, 0.3  # share of the cut where the flow goes on behind a mask, of a pair and of what pairs share
 RIM_CUT = 0.35  # share of the cut that counts where a rim is clean: errors near walls are then 0.8 to 1.2 sigma
 Floats = NDArray[np.float64]
 
@@ -374,8 +375,11 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         around = seen if given is None else seen + np.float32(RIM_CUT) * (given - seen)
         is_rough = settings.denoise == 0.0  # noise is still in the vectors
         rough = np.nan_to_num(np.sqrt(np.square(sigma).mean(axis=-1))) if is_rough else None
-        cut = (cut_px(final, around, grid, side, settings.window_sigma, rough) for side in sizes.sides_px)
-        parts = np.hypot(parts, sizes.pick(list(cut)))
+        cuts = (cut_px(final, around, grid, side, settings.window_sigma, rough) for side in sizes.sides_px)
+        cut = np.broadcast_to(sizes.pick(list(cuts)), parts.shape)
+        if settings.flow_beyond_mask:
+            cut = cut * np.array(BEYOND_CUT)[:, None, None]
+        parts = np.hypot(parts, cut)
     fill, near = fill_gaps(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED

@@ -64,6 +64,9 @@ class PivSettings:
         Give the random uncertainty of each vector.
     peak_ratios : bool
         Look for the second peak of every window; otherwise only where something speaks against a vector.
+    flow_beyond_mask : bool
+        The mask hides a flow that goes on behind it, such as the rim of what a camera sees; otherwise it may be a
+        wall at which the flow bends most, and vectors beside it are less certain.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class PivSettings:
     outlier_epsilon_px: AboveZero = 0.1
     uncertainty: bool = True
     peak_ratios: bool = False
+    flow_beyond_mask: bool = False
 
     def __post_init__(self) -> None:
         sides = self.windows_px

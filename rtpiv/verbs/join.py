@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from correction.grid import PlaneGrid, grid_of
-from correction.self_check.knocks import Knock
+from correction.node_status import NodeStatus
 from daq.errors import RunUsageError
 from daq.runs.names import main_run
 from ground.terminal import console
@@ -19,11 +19,12 @@ from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.report.kept_page import PAGE
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.joined_views import MAX_SIGMA_W_PX, JoinedViews, join_views
+from rtpiv.analysis.series.moving_glass import MIN_SURE_PAIRS, Moves, find_moves, follow_moves
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE, MEAN
 from rtpiv.analysis.series.series_input import SeriesInput, keep_scene, series_input
 from rtpiv.analysis.series.series_view import SeriesView
-from rtpiv.analysis.series.sheet_of_views import knock_of_views, set_sheet, sheet_of_views
+from rtpiv.analysis.series.sheet_of_views import BALL, set_sheet, sheet_of_views
 from rtpiv.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
 from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.paths import Named, paths_of
@@ -44,10 +45,12 @@ APART = (
 )
 MOVED = "view {} ({}) explains it: what its camera shows is {:.3f} mm from its place; calibrate this camera again"
 
-KNOCKED = (
-    "{} was knocked {}; calibrate again, and evaluate the pairs from {} on with that scene: the map is right for"
-    " one side alone"
+KNOCKED = "{} was knocked {}{}"
+CALIBRATE = (
+    "; calibrate again, and evaluate the pairs from {} on with that scene: the map is right for one side alone"
 )
+DRIFTED = "{} drifts by ({:+.1f}, {:+.1f}, {:+.1f}) +- ({:.1f}, {:.1f}, {:.1f}) um from the first pair to the last"
+MOST_LIKELY = f"; {MIN_SURE_PAIRS} pairs or more are needed to find a knock of 20 um surely, 20 find half of them"
 
 
 @dataclass(frozen=True)
@@ -65,14 +68,18 @@ class Together:
         Places that a camera sees twice, such as directly and through a ball, are two views of it: they give w from
         one camera. Of runs and frames, not of series.
     knocks : bool
-        Look for a pair before which a ball, a camera or the light sheet was knocked, by the disparity of views at
-        the same time; not for series.
+        Look for a pair before which a ball, a camera or the light sheet was knocked, and for balls that drift, by
+        the disparity of views at the same time; not for series.
+    follow : bool
+        Do so, and correct each pair for where the balls were then, as far as that changes places by more than
+        0.02 px.
     """
 
     simultaneous: bool = False
     sheet: bool = False
     branches: bool = False
     knocks: bool = False
+    follow: bool = False
 
 
 def join(
@@ -151,9 +158,10 @@ def join(
             return found
 
         given = inputs(scenes or [None] * len(paths))
-        if (how.sheet or how.knocks) and (not at_once or len(given) < len(paths)):
+        if (how.sheet or how.knocks or how.follow) and (not at_once or len(given) < len(paths)):
             raise RunUsageError(
-                "--sheet and --knocks compare frames at the same time: give runs or frames, and --simultaneous"
+                "--sheet, --knocks and --follow compare frames at the same time: give runs or frames, and"
+                " --simultaneous"
             )
         for _ in range(SHEET_ROUNDS if how.sheet else 0):  # a plane that is nearer changes the slopes
             moved = sheet_of_views(given)
@@ -164,9 +172,11 @@ def join(
             if moved.moved is not None:
                 view = paths[moved.moved]
                 screen.print(MOVED.format(moved.moved + 1, view, moved.moved_mm), style="bold red")
-        if how.knocks:
-            tags = [pair.tag for pair in given[0].given.pairs]
-            show_knock(screen, knock_of_views(given), tags)
+        if how.knocks or how.follow:
+            moves, steps = find_moves(given), 0
+            if how.follow:
+                given, steps = follow_moves(given, moves)
+            show_moves(screen, moves, [pair.tag for pair in given[0].given.pairs], steps)
         made = [SeriesView(folder) for folder in folders if (folder / FILE).is_file() and folder in paths]
         seen = [(view.scene, view.about["glass"]) for view in made]
         seen += [(each.method.scene, each.given.glass) for each in given]
@@ -174,7 +184,7 @@ def join(
         if how.branches:
             given, folders = add_second_views(given, folders, out)
         for each in given:
-            show_series(screen, run_series(each if is_focus else _without_filter(each), workers))
+            show_series(screen, run_series(each if is_focus else _as_view(each), workers))
         series = [SeriesView(folder) for folder in folders]
         if is_focus:
             return _join_focus(screen, series, out)
@@ -190,16 +200,27 @@ def join(
         return joined
 
 
-def show_knock(screen: Console, found: Knock | None, pairs: Sequence[str]) -> None:
-    """Name what was knocked, and the pairs across it."""
-    if found is None:
-        screen.print("no ball, camera or light sheet was knocked between pairs by more than chance")
-        return
-    what = " or ".join(found.names)
-    if found.names[0].startswith("ball"):
-        what += " by ({:+.0f}, {:+.0f}, {:+.0f}) um".format(*(1e3 * found.move))
-    between = f"between the pairs {pairs[found.before]} and {pairs[found.after]}"
-    screen.print(KNOCKED.format(what, between, pairs[found.after]), style="bold red", soft_wrap=True)
+def show_moves(screen: Console, found: Moves, pairs: Sequence[str], scenes: int = 0) -> None:
+    """Name what was knocked, the pairs across it, and balls that drift; `scenes` that pairs have if followed."""
+    said, knock = list[str](), found.knock
+    if knock is not None:
+        what = " or ".join(knock.names)
+        if knock.names[0].startswith(BALL):
+            what += " by ({:+.0f}, {:+.0f}, {:+.0f}) um".format(*(1e3 * knock.move))
+        between = f"between the pairs {pairs[knock.before]} and {pairs[knock.after]}"
+        is_followed = scenes and any(path.name in knock.names for path in found.moving)
+        said.append(KNOCKED.format(what, between, "" if is_followed else CALIBRATE.format(pairs[knock.after])))
+    for path in found.drifting:
+        said.append(DRIFTED.format(path.name, *(1e3 * path.position[-1]), *(1e3 * path.sigma[-1])))
+    if scenes and found.moving:
+        said.append(f"pairs are corrected with {scenes} scenes, that of the first pair as calibrated")
+    for line in said:
+        screen.print(line, style="bold red", soft_wrap=True)
+    if not said:
+        few = MOST_LIKELY if len(pairs) < MIN_SURE_PAIRS else ""
+        screen.print(
+            f"no ball, camera or light sheet was knocked or drifts by more than chance{few}", soft_wrap=True
+        )
 
 
 def add_second_views(
@@ -229,9 +250,14 @@ def _on_grid(given: SeriesInput, grid: PlaneGrid | None) -> SeriesInput:
     return given if grid in (None, own) else replace(given, method=replace(given.method, grid=grid))
 
 
-def _without_filter(given: SeriesInput) -> SeriesInput:
-    """Return the same series without the noise filter, which is applied to what views are combined to."""
-    settings = replace(given.method.settings, denoise=0.0)
+def _as_view(given: SeriesInput) -> SeriesInput:
+    """Return the same series without the noise filter, which is applied to what views are combined to.
+
+    Behind the rim of a view the flow goes on, unless a body stands in the plane or a person has masked something.
+    """
+    status = correction_of(given.out / "maps", given.method).corrector.map.status
+    is_open = not np.isin(status, (NodeStatus.IN_GLASS, NodeStatus.LEFT_OUT)).any()
+    settings = replace(given.method.settings, denoise=0.0, flow_beyond_mask=is_open)
     return replace(given, method=replace(given.method, settings=settings))
 
 

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
+from correction.grid import grid_of
 from daq.atomic_write import GIVE_AGAIN, disk_errors, write_bytes
 from daq.runs.lab_readings import readings_attribute
 from piv.correlation.vector_field import ONE_PICTURE, REPEATED
@@ -98,7 +99,7 @@ def evaluate_chunk_closely(job: ChunkJob, how: PairMethod) -> list[tuple[str, De
 def _correlate_pairs(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | str]]:
     """Each pair of a chunk correlate_pair, or why it is not; SeriesError if this process has other code."""
     _require_the_planned_code(job.method)
-    prepared, method, still = correction_of(job.maps, job.method), job.method, still_in(job)
+    method, still = job.method, still_in(job)
     for pair, a, b in zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True):
         if isinstance(a, str) or isinstance(b, str):
             yield pair, a if isinstance(a, str) else str(b)
@@ -106,6 +107,7 @@ def _correlate_pairs(job: ChunkJob) -> Iterator[tuple[SeriesPair, Correlated | s
         if pair.is_repeated:
             yield pair, REPEATED
             continue
+        prepared = correction_of(job.maps, method_of(pair, method))
         try:
             both = prepared.corrector(a), prepared.corrector(b)
             seen = correlate_pair((a, b), both, prepared, method.settings, method.preparation, still)
@@ -162,6 +164,13 @@ def correction_of(maps: Path, method: Method) -> PreparedCorrection:
         return _corrections(maps).of(
             method.scene, method.dewarp, limit=method.limit, grid=method.grid, view=method.view
         )
+
+
+def method_of(pair: SeriesPair, method: Method) -> Method:
+    """Return the method with the scene that a pair was taken through; frames stay on the grid of the series."""
+    if pair.scene is None:
+        return method
+    return replace(method, scene=pair.scene, grid=method.grid or grid_of(method.scene.camera), limit=None)
 
 
 def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:

@@ -69,6 +69,8 @@ class SeriesPair:
         What gauges of the lab showed at each step that its frames are of; empty where there are none.
     is_repeated : bool
         Whether both frames are, pixel by pixel, those of an earlier pair.
+    scene : Scene, optional
+        What the camera looked through, where that is not the scene of its series: a body has moved.
     """
 
     tag: str
@@ -79,6 +81,7 @@ class SeriesPair:
     time_s: float | None = None
     gauges: Mapping[int, Mapping[str, ReadingRecord]] = field(default_factory=dict, hash=False)
     is_repeated: bool = False
+    scene: Scene | None = None
 
     @property
     def names(self) -> str:
@@ -190,6 +193,7 @@ class ChunkJob:
     def key(self) -> str:
         """SHA-256 of all that the chunk's file is a function of."""
         repeated = [pair.tag for pair in self.pairs if pair.is_repeated]
+        scenes = [[pair.tag, pair.scene.content_hash()] for pair in self.pairs if pair.scene is not None]
         tree = {
             **self.method.recipe,
             "light": None if self.light is None else self.light.key,
@@ -199,6 +203,7 @@ class ChunkJob:
             "near": [[p.crc32 for p in side] for side in (self.before, self.after)],
             **({"readings": self.readings} if self.readings else {}),
             **({"repeated": repeated} if repeated else {}),
+            **({"scenes": scenes} if scenes else {}),
         }
         return digest(tree)
 

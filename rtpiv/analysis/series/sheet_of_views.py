@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from correction.grid import PlaneGrid
 from correction.light_sheet.two_cameras import POSE_SIGMA, SheetByViews, fit_sheet, name_moved
 from correction.maps.slant import vector_slopes
-from correction.self_check.knocks import Candidate, Knock, find_knock, min_pairs
+from correction.self_check.knocks import Candidate
 from correction.self_check.moved_sphere import MOVE_PRIOR_MM
 from daq.atomic_write import write_text
 from ground.terminal import progress
@@ -28,6 +28,7 @@ STRANGERS = 2.0  # sigma that no sheet explains, from which a camera is asked fo
 MOST_FRAMES = 100  # that are compared, of both pulses
 COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
 POSE = tuple(f"camera.{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
+BALL = "ball "  # begins the name of a candidate
 SHEET_SIGMA = np.array([0.3, 0.003, 0.003])  # mm, and slopes: of a move of the light sheet that is looked for
 Floats = NDArray[np.float64]
 
@@ -81,8 +82,8 @@ def _slopes(series: SeriesInput) -> Floats:
     return vector_slopes(found, method.scene, windows, method.settings.window_sigma)
 
 
-def _rates(series: SeriesInput, names: Sequence[str]) -> Floats:
-    """Derivatives (N, 2, P) of the places that windows show by numbers of the scene."""
+def position_rates(series: SeriesInput, names: Sequence[str]) -> Floats:
+    """Return the derivatives (N, 2, P) of the places that windows show by numbers of the scene."""
     found = correction_of(series.out / "maps", series.method).corrector.map
     windows = series.method.settings.result_grid(found.grid.shape)
     pixels = found.pixel[0][np.ix_(*(np.rint(axis).astype(int) for axis in (windows.y_px, windows.x_px)))]
@@ -95,7 +96,7 @@ def _rates(series: SeriesInput, names: Sequence[str]) -> Floats:
 
 def _of_poses(series: Sequence[SeriesInput]) -> list[Floats]:
     """Derivatives of all disparities by the pose of each camera."""
-    first, *others = (_rates(each, POSE) for each in series)
+    first, *others = (position_rates(each, POSE) for each in series)
     nothing = np.zeros_like(first)
     found = [np.concatenate([first] * len(others))]
     for number, rates in enumerate(others):
@@ -157,25 +158,18 @@ def _disparity(first: SeriesInput, other: SeriesInput) -> tuple[Floats, Floats]:
         return mean, np.sqrt(np.maximum(1.0 / weight, scatter))
 
 
-def knock_of_views(series: Sequence[SeriesInput]) -> Knock | None:
-    """Look for a pair before which a ball, a camera or the light sheet was knocked; None if there is none.
+def disparities_of(series: Sequence[SeriesInput], pairs: int) -> Floats:
+    """Disparities (K, N, 2) [mm] of each pair from the first view to the others; NaN where not known.
 
     Parameters
     ----------
     series : sequence of SeriesInput
         As for `sheet_of_views`.
-
-    Raises
-    ------
-    PairError
-        There are too few pairs to know how much positions scatter by chance.
+    pairs : int
+        Pairs that are compared.
     """
     first, *others = series
     grid, places = _places(first)
-    candidates = _candidates(series, places)
-    pairs, least = min(len(each.given.pairs) for each in series), min_pairs(candidates)
-    if pairs < least:
-        raise PairError(f"--knocks needs {least} pairs or more, not {pairs}")
     parts = []
     for other in others:
         found = _disparities(first, other, 2 * pairs)
@@ -185,7 +179,7 @@ def knock_of_views(series: Sequence[SeriesInput]) -> Knock | None:
                 both[number] = one[0].reshape(-1, 2)
         of_pulses = both.reshape(pairs, 2, -1, 2)
         parts.append(of_pulses.mean(axis=1) * grid.pitch_mm)
-    return find_knock(np.concatenate(parts, axis=1), candidates)
+    return np.concatenate(parts, axis=1)
 
 
 def _places(series: SeriesInput) -> tuple[PlaneGrid, Floats]:
@@ -196,18 +190,19 @@ def _places(series: SeriesInput) -> tuple[PlaneGrid, Floats]:
     return grid, grid.to_mm(centres).reshape(-1, 2)
 
 
-def _candidates(series: Sequence[SeriesInput], places: Floats) -> list[Candidate]:
-    """Cameras, the balls that all views know, and the light sheet: each may be knocked."""
+def candidates_of(series: Sequence[SeriesInput]) -> list[Candidate]:
+    """Return the cameras, the balls that all views know, and the light sheet: each may move."""
+    _, places = _places(series[0])
     found = [
         Candidate(f"the camera of view {number}", rates, POSE_SIGMA)
         for number, rates in enumerate(_of_poses(series), start=1)
     ]
     balls = [{ball.name for ball in each.method.scene.spheres} for each in series]
     for name in sorted(set.intersection(*balls)):
-        own, *their = (_rates(each, [f"{name}.{axis}" for axis in "xyz"]) for each in series)
+        own, *their = (position_rates(each, [f"{name}.{axis}" for axis in "xyz"]) for each in series)
         rates = np.concatenate([own - one for one in their])
         prior = np.full(3, MOVE_PRIOR_MM)
-        found.append(Candidate(f"ball {name}", rates, prior))
+        found.append(Candidate(f"{BALL}{name}", rates, prior))
     slopes = [_slopes(each).reshape(-1, 2) for each in series]
     height = np.column_stack((np.ones(len(places)), places))
     steeper = [(one - slopes[0])[..., None] for one in slopes[1:]]

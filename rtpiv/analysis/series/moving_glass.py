@@ -1,0 +1,138 @@
+"""Knocks and drift during a run of several cameras, and the scene of each pair: maps follow what moved.
+
+A pair keeps the scene of its series until the places that its windows show through balls that have moved differ by
+more than `FOLLOW_LIMIT_PX`; then the balls of its scene are moved, and those of the pairs after it.
+So a run that stands still has one map, and one that drifts has one for each limit of its drift.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import grid_of
+from correction.self_check.drift import BallPath, follow_balls
+from correction.self_check.knocks import Knock, find_knock, min_pairs
+from piv.errors import PairError
+from rtpiv.analysis.series.series_input import SeriesInput
+from rtpiv.analysis.series.sheet_of_views import BALL, candidates_of, disparities_of, position_rates
+from tracer.bodies import translate_by
+from tracer.scene.scene import Scene
+
+FOLLOW_LIMIT_PX = 0.02  # change of the places that a map shows, but for rims, from which a pair gets another map
+NEARLY_ALL = 0.95  # of the windows behind a ball: near its rim a pixel is anywhere
+MIN_SURE_PAIRS = 50  # of which knocks of 20 um were all found, of 20 pairs half of them
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Knock and drift of a run.
+
+    Parameters
+    ----------
+    knock : Knock or None
+        The clearest knock.
+    paths : tuple of BallPath
+        Of all balls that the views share.
+    """
+
+    knock: Knock | None
+    paths: tuple[BallPath, ...]
+
+    @property
+    def drifting(self) -> tuple[BallPath, ...]:
+        """Balls that drift by more than chance."""
+        return tuple(path for path in self.paths if path.drifts)
+
+    @property
+    def moving(self) -> tuple[BallPath, ...]:
+        """Balls that drift, and the one that was knocked if nothing else explains the knock."""
+        named = () if self.knock is None or len(self.knock.names) > 1 else self.knock.names
+        return tuple(path for path in self.paths if path.drifts or path.name in named)
+
+
+def find_moves(series: Sequence[SeriesInput]) -> Moves:
+    """Look for knocks and drift in the disparities of views at the same time, pair by pair.
+
+    Parameters
+    ----------
+    series : sequence of SeriesInput
+        As for `rtpiv.analysis.series.sheet_of_views.sheet_of_views`.
+
+    Raises
+    ------
+    PairError
+        There are too few pairs to know how much positions scatter by chance.
+    """
+    candidates = candidates_of(series)
+    pairs, least = min(len(each.given.pairs) for each in series), min_pairs(candidates)
+    if pairs < least:
+        raise PairError(f"--knocks and --follow need {least} pairs or more, not {pairs}")
+    disparity = disparities_of(series, pairs)
+    knock = find_knock(disparity, candidates)
+    balls = [one for one in candidates if one.name.startswith(BALL)]
+    others = [one for one in candidates if not one.name.startswith(BALL)]
+    paths = follow_balls(disparity, balls, others, [] if knock is None else [knock.after])
+    return Moves(knock, tuple(paths))
+
+
+def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[SeriesInput], int]:
+    """Give each pair the scene of its time.
+
+    Parameters
+    ----------
+    series : sequence of SeriesInput
+        The views.
+    moves : Moves
+        What moved.
+
+    Returns
+    -------
+    tuple of list of SeriesInput, int
+        The views with the scenes of their pairs, and how many scenes each has.
+    """
+    if not moves.moving:
+        return list(series), 1
+    path = np.concatenate([one.position for one in moves.moving], axis=-1)
+    names = [one.name.removeprefix(BALL) for one in moves.moving]
+    rates = [_largest_rates(each, names) for each in series]
+    at = _steps(path, np.max(rates, axis=0))
+    found = [
+        replace(each, given=replace(each.given, pairs=tuple(
+            pair if not step.any() else replace(pair, scene=_moved(each.method.scene, names, step))
+            for pair, step in zip(each.given.pairs, at, strict=True)
+        )))
+        for each in series
+    ]  # fmt: skip
+    return found, len(np.unique(at, axis=0))
+
+
+def _steps(path: Floats, px_per_mm: Floats) -> Floats:
+    """Moves (K, P) that are applied: those of the last pair at which they had changed by the limit."""
+    applied, now = np.zeros_like(path), np.zeros(path.shape[1])
+    for number, place in enumerate(path):
+        if np.linalg.norm((place - now) * px_per_mm) > FOLLOW_LIMIT_PX:
+            now = place
+        applied[number] = now
+    return applied
+
+
+def _largest_rates(series: SeriesInput, names: Sequence[str]) -> Floats:
+    """Largest change (3 a ball) of the places that windows show [px of the corrected image per mm]."""
+    method = series.method
+    rates = position_rates(series, [f"{name}.{axis}" for name in names for axis in "xyz"])
+    lengths = np.linalg.norm(rates, axis=1)
+    behind = np.where(lengths > 0.0, lengths, np.nan)
+    some = np.isfinite(behind).any(axis=0)
+    largest = np.nanquantile(np.where(some, behind, 0.0), NEARLY_ALL, axis=0)
+    return np.asarray(largest / (method.grid or grid_of(method.scene.camera)).pitch_mm)
+
+
+def _moved(scene: Scene, names: Sequence[str], step_mm: Floats) -> Scene:
+    """Return the scene with its balls moved by (3 a ball)."""
+    by = {name: tuple(map(float, step_mm[3 * k : 3 * k + 3])) for k, name in enumerate(names)}
+    return scene.with_bodies(
+        [body.moved(translate_by(by[body.name])) if body.name in by else body for body in scene.bodies]
+    )
