@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from daq.bench.bench_table import Bench, trigger_is_software
-from daq.bench.elements import GLASS, TARGET
+from daq.bench.elements import CAMERA, GLASS, TARGET
 from daq.bench.guards import sheet_clearances_mm
 from daq.bench.opened import simulation_class
 from daq.cameras.camera import Setting
@@ -49,17 +49,17 @@ class Forecast:
     Parameters
     ----------
     frames : int
-        Frames to be written.
+        Frames to be written, of each camera.
     travel_mm : mapping
         Way of each axis, approach included.
     duration_s : float
         Estimate from speeds, accelerations, settling, exposures.
     raw_bytes, corrected_bytes : int
-        Estimate of the files.
+        Estimate of the files of all cameras.
     violations : tuple of Violation
         What is not allowed; empty if the plan may be carried out.
     link : str
-        What the plan needs of the camera's link; "" if it has no rate.
+        What the plan needs of the link of each camera, a line each; "" if it has no rate.
     steps_s : tuple of float
         Estimate of each step.
     is_from_scene : bool
@@ -78,7 +78,11 @@ class Forecast:
 
 
 def forecast(
-    bench: Bench, stage: Stage, steps: Sequence[Step], start_mm: Mapping[str, float] | None = None
+    bench: Bench,
+    stage: Stage,
+    steps: Sequence[Step],
+    start_mm: Mapping[str, float] | None = None,
+    cameras: Sequence[str] = (),
 ) -> Forecast:
     """Go through a list of steps without sending anything.
 
@@ -92,7 +96,15 @@ def forecast(
         What is to be done.
     start_mm : mapping, optional
         Where the axes are; default is the place at which the scene file holds.
+    cameras : sequence of str
+        Further cameras of the bench that take the same frames.
+
+    Raises
+    ------
+    PlanError
+        The bench has no such camera.
     """
+    seen = {CAMERA: bench} | {name: bench.as_seen_by(name) for name in cameras}
     here = dict(bench.home_mm if start_mm is None else start_mm)
     travel = dict.fromkeys(here, 0.0)
     steps_s: list[float] = []
@@ -108,17 +120,24 @@ def forecast(
                 travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
             step_s += stage.duration_s(here, move)
             here |= move
-        for said in (link_excess(bench, step), _sheet_blocked(bench, step)):
+        too_fast = {name: link_excess(each, step) for name, each in seen.items()}
+        for said in (*_named(too_fast), _sheet_blocked(bench, step)):
             if said:
                 violations.append(Violation(step.index, step.tag, said))
         steps_s.append(step_s + step.settle_s + STEP_OVERHEAD_S + frames_s(bench, step))
     duration_s = sum(steps_s) + max(
         (step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0
     )
-    frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
+    frames, frame_bytes = frame_count(steps), sum(map(_frame_bytes, seen.values()))
     on_plane = sum(step.frames for step in steps if step.on_plane)
     disk = frames * frame_bytes, on_plane * frame_bytes
-    return Forecast(frames, travel, duration_s, *disk, tuple(violations), link_said(bench, steps), tuple(steps_s))
+    link = "\n".join(_named({name: link_said(each, steps) for name, each in seen.items()}))
+    return Forecast(frames, travel, duration_s, *disk, tuple(violations), link, tuple(steps_s))
+
+
+def _named(said: Mapping[str, str]) -> list[str]:
+    """Sentences about cameras, each with the name of its camera where there are several."""
+    return [f"{name}: {one}" if len(said) > 1 else one for name, one in said.items() if one]
 
 
 def _sheet_blocked(bench: Bench, step: Step) -> str:
@@ -252,13 +271,15 @@ def retract_path(bench: Bench, stage: Stage) -> RetractPath:
     return RetractPath(here if known else None, tuple(problems), text)
 
 
-def forecast_from_home(bench: Bench, stage: Stage, steps: Sequence[Step]) -> tuple[Forecast, str]:
+def forecast_from_home(
+    bench: Bench, stage: Stage, steps: Sequence[Step], cameras: Sequence[str] = ()
+) -> tuple[Forecast, str]:
     """Forecast a plan that begins with homing every axis; with a sentence about the way out of the homed place.
 
     Where that way is not known, the plan is forecast from the place at which the scene file holds.
     """
     out = retract_path(bench, stage)
-    said = forecast(bench, stage, steps, out.start_mm)
+    said = forecast(bench, stage, steps, out.start_mm, cameras)
     first = steps[0].index if steps else 0
     more = [Violation(first, f"move {number} of after_home", text) for number, text in out.problems]
     here = replace(said, violations=(*more, *said.violations), is_from_scene=out.start_mm is None)

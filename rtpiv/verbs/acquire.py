@@ -170,13 +170,13 @@ def check_plan(
     screen: Console, request: Request, bench: Bench, plan: Plan, home: bool, with_steps: bool
 ) -> Forecast:
     """Forecast a plan on an idle bench, print the forecast, and refuse a plan that violates limits or keep-out."""
-    stage, simulate = idle_stage(bench), request.simulate
+    stage, simulate, cameras = idle_stage(bench), request.simulate, plan.table.further_cameras
     if home:
-        found, sentence = forecast_from_home(bench, stage, plan.steps)
+        found, sentence = forecast_from_home(bench, stage, plan.steps, cameras)
         if not (simulate and found.is_from_scene):  # it concerns hardware alone
             screen.print(sentence, soft_wrap=True)
     else:
-        found = forecast_plan(bench, stage, plan.steps)
+        found = forecast_plan(bench, stage, plan.steps, cameras=cameras)
     print_forecast(screen, bench, plan, found, with_steps, simulate)
     if not simulate:
         for warning in confusable(bench.table.stages):
@@ -306,8 +306,10 @@ def print_forecast(
             screen.print(f"... and {len(plan.steps) - FORECAST_STEPS} more")
     time = f"about {time_said(bench, plan.steps, said, simulate)}"
     travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
+    cameras = 1 + len(plan.table.further_cameras)
+    each = f" of each of {cameras} cameras" if cameras > 1 else ""
     screen.print(
-        f"{quantity(len(plan.steps), 'step')}, {quantity(said.frames, 'frame')}, {time}; "
+        f"{quantity(len(plan.steps), 'step')}, {quantity(said.frames, 'frame')}{each}, {time}; "
         f"travel in mm: {travel or 'none'}; "
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )

@@ -69,7 +69,7 @@ def _describe_bench(bench: Bench) -> str:
 
 
 def _describe_plan(path: Path, plan: Plan, bench: Bench) -> str:
-    said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
+    said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps, plan.table.further_cameras)
     if said.violations:
         lines = [
             f"{path}: step {v.step + 1} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
@@ -78,4 +78,4 @@ def _describe_plan(path: Path, plan: Plan, bench: Bench) -> str:
         raise PlanError("\n".join(lines))
     size = f"{quantity(len(plan.steps), 'step')}, {quantity(said.frames, 'frame')}"
     steps = f"{plan.table.experiment}, {size}, about {time_said(bench, plan.steps, said)}"
-    return f"{steps}; {said.link}" if said.link else steps
+    return "; ".join((steps, *said.link.splitlines()))

@@ -4,16 +4,19 @@ import re
 
 import pytest
 
+from daq.bench.bench_file import load_bench
 from daq.bench.guards import idle_stage
 from daq.cameras.files import FilesCamera
 from daq.errors import RunUsageError
 from daq.plans.forecast import forecast
 from daq.plans.link_budget import require_link
+from daq.plans.plan import load_plan
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from rtpiv.verbs.check import check_files
 from tests.daq.plans.test_flow_plan import PAIRS, PLAN, SETTINGS, flow
+from tests.daq.runner.test_two_cameras import write_two
 from tests.daq.small_bench import FILES_CAMERA, files_bench, load, write_frames
 
 BIG = SETTINGS.replace("{Exp", "{PixelFormat: Mono16, Width: 2016, Height: 2016, Exp")
@@ -101,3 +104,19 @@ def test_a_run_is_refused_before_anything_moves(tmp_path):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert hardware.simulation.true_mm() == here_mm
     assert not list((folder.path / "frames").iterdir())
+
+
+def test_every_camera_needs_disk_and_link(tmp_path):
+    path, plan = write_two(tmp_path, changes=("  timeout_s", "  link: 1GigE\n    timeout_s"))
+    bench = load_bench(path)
+    made, stage = load_plan(plan, bench), idle_stage(bench)
+    alone = forecast(bench, stage, made.steps)
+    both = forecast(bench, stage, made.steps, cameras=made.table.further_cameras)
+    side = bench.scene.camera.sensor_px[0]
+    assert both.frames == alone.frames
+    assert both.raw_bytes == 2 * alone.raw_bytes - alone.frames * 2 * 16 * side  # 16 columns fewer
+    first, behind = both.link.splitlines()
+    assert first.startswith("camera: link: ")
+    assert behind.startswith("behind: link: ")
+    assert "of 113.0" in behind  # the first one names no link
+    assert len(both.violations) == len(alone.violations)
