@@ -12,15 +12,17 @@ from tracer.kernels.branches import branch_number
 from tracer.kernels.chain import (
     BALL,
     SKIP_LEFT_BEHIND,
+    SKIP_LONE,
     SKIP_SILHOUETTES,
     glass_span,
     insert_span,
+    lone_square,
     place_row,
 )
 from tracer.scene.scene import Scene
 from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, pack_chain, trace_lockstep
 from tracer.strategies.ray_map import build_ray_map
-from tracer.strategies.trace import pack_camera
+from tracer.strategies.trace import pack_camera, trace
 
 SCENES = ("one_sphere_250", "two_spheres_500", "three_spheres_500", "pyramid_500", TILTED)
 
@@ -67,7 +69,7 @@ def mirrored_scene(seed: int) -> Scene:
 )
 def test_no_skip_changes_a_bit(where: Scene) -> None:
     whole = traced(where, 0)
-    for skips in (ALL_SKIPS, SKIP_SILHOUETTES, SKIP_LEFT_BEHIND, SKIP_MIRRORED):
+    for skips in (ALL_SKIPS, SKIP_SILHOUETTES, SKIP_LEFT_BEHIND, SKIP_MIRRORED, SKIP_SILHOUETTES | SKIP_LONE):
         skipped = traced(where, skips)
         assert skipped[3] == whole[3]
         for one, other in zip(skipped[:3], whole[:3], strict=True):
@@ -92,6 +94,33 @@ def test_only_exact_mirrors_count() -> None:
         replace(camera, lens=Lens(p1=1e-9)),
     ):
         assert not find_mirrors(where.with_camera(other)).in_x
+
+
+@loop_over("where", [some_scene("pyramid_500"), *map(random_lockstep_scene, range(40, 48))])
+def test_nothing_is_met_behind_a_lone_disc(where: Scene) -> None:
+    """Rays aimed at discs of `lone_square`, most of them near its rim, against where `trace_ray` takes them."""
+    camera, balls, rng = pack_camera(where.camera), pack_chain(where), np.random.default_rng(5)
+    eye, names = camera[:3], [body.name for body in sorted(where.spheres, key=lambda each: -each.centre_mm[2])]
+    for k in range(len(balls)):
+        axis = balls[k, :3] - eye
+        length, turn = np.linalg.norm(axis), rng.uniform(0.0, 2.0 * np.pi, (400, 1))
+        aside, across = np.linalg.svd(axis[None] / length)[2][1:]
+        b = np.sqrt(lone_square(k, camera, balls)) * (1.0 - 10.0 ** rng.uniform(-6.0, 0.0, (400, 1)))
+        sine = b / length
+        ways = np.sqrt(1.0 - sine**2) * axis / length + sine * (np.cos(turn) * aside + np.sin(turn) * across)
+        found = trace(where, where.camera.project(eye + length * ways))
+        for key, sequence in found.branches.items():
+            if sequence and sequence[0] == names[k]:
+                assert len(sequence) == 1, (names[k], sequence, (found.rays["key"] == key).sum())
+
+
+def test_a_lone_disc_is_nearly_the_silhouette_of_a_ball_beside_others() -> None:
+    """Lower balls of a pyramid touch their neighbours; the top one has the gap between them below it."""
+    where = some_scene("pyramid_500")
+    camera, balls = pack_camera(where.camera), pack_chain(where)
+    shares = [np.sqrt(lone_square(k, camera, balls) / balls[k, 3]) for k in range(5)]
+    assert 0.7 < shares[0] < 0.8
+    assert min(shares[1:]) > 0.99
 
 
 @loop_over("where", [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8))])

@@ -49,7 +49,9 @@ QQ, IQ, NEAR = (k * STEP for k in range(6, 9))
 RAY_NUMBERS = 9 * STEP
 PICK, TRIP = (k * STEP for k in range(2))
 TRIP_NUMBERS = 2 * STEP
-SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; the result must not change
+LONE_STEPS = 128  # angles of incidence for which rays behind a sphere are compared with the others
+# Skips that a test may switch off; the result must not change
+SKIP_SILHOUETTES, SKIP_LEFT_BEHIND, SKIP_LONE = 1, 2, 8
 
 
 @kernel_inlined
@@ -77,20 +79,23 @@ def write_plane_point(i: int, p: Vector, d: Vector, point: Array) -> int:
 
 @kernel
 def direct_block(x: Array, y: Array, camera: Array, point: Array) -> int:
-    """Trace rays (n,) that no glass touches to point (2 n,), x and y in turn; return how many do not go down."""
-    up, eye, axes = 0, eye_of(camera), axes_of(camera)
+    """Trace rays (n,) that no glass touches to point (2 n,), x and y in turn; return how many do not go down.
+
+    One y stands for all where ``y`` is (1,), here and below.
+    """
+    up, eye, axes, level, first = 0, eye_of(camera), axes_of(camera), y.shape[0] == 1, y[0]
     for i in range(x.shape[0]):
-        up += write_plane_point(i, eye, image_ray(x[i], y[i], axes), point)
+        up += write_plane_point(i, eye, image_ray(x[i], first if level else y[i], axes), point)
     return up
 
 
 @kernel
-def single_block(x: Array, y: Array, camera: Array, balls: Array, point: Array, branch: Array) -> int:
-    """Trace rays (n,) as `direct_block` does, but through the only sphere there is; branch (n,): 1 if met."""
-    up, eye, axes, centre, glass = 0, eye_of(camera), axes_of(camera), vector_at(balls[0], 0), glass_of(balls, 0)
-    w = subtract(eye, centre)
+def single_block(x: Array, y: Array, camera: Array, balls: Array, k: int, point: Array, branch: Array) -> int:
+    """Trace rays (n,) as `direct_block` does, but through sphere k alone; branch (n,): its number if met."""
+    up, eye, axes, centre, glass = 0, eye_of(camera), axes_of(camera), vector_at(balls[k], 0), glass_of(balls, k)
+    w, level, first = subtract(eye, centre), y.shape[0] == 1, y[0]
     for i in range(x.shape[0]):
-        d = image_ray(x[i], y[i], axes)
+        d = image_ray(x[i], first if level else y[i], axes)
         square = dot(d, d)
         inverse = 1.0 / square
         m, a, b2 = foot_of(w, d, inverse)
@@ -99,16 +104,16 @@ def single_block(x: Array, y: Array, camera: Array, balls: Array, point: Array, 
         p = q[0] if hit else eye[0], q[1] if hit else eye[1], q[2] if hit else eye[2]
         e = e[0] if hit else d[0], e[1] if hit else d[1], e[2] if hit else d[2]
         up += write_plane_point(i, p, e, point)
-        branch[i] = 1 if hit else 0
+        branch[i] = 1 << k if hit else 0
     return up
 
 
 @kernel
 def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
     """Put the rays of a span with ideal image coordinates x, y (n,) into the block, n <= LANES."""
-    (ox, oy, oz), axes = eye_of(camera), axes_of(camera)
+    (ox, oy, oz), axes, level, first = eye_of(camera), axes_of(camera), y.shape[0] == 1, y[0]
     for i in range(x.shape[0]):
-        d = image_ray(x[i], y[i], axes)
+        d = image_ray(x[i], first if level else y[i], axes)
         square = dot(d, d)
         rays[PX + i], rays[PY + i], rays[PZ + i] = ox, oy, oz
         rays[DX + i], rays[DY + i], rays[DZ + i] = d
@@ -185,7 +190,7 @@ def follow_block(
     for k in range(bodies):
         reached = (spans[k, 0] < low + count) & (spans[k, 1] > low)
         wanted[k] = 1 if reached or not skips & SKIP_SILHOUETTES else 0
-    all_down = goes_down(count, rays)
+    all_down, last_top = goes_down(count, rays), math.inf
     for _ in range(MOST_EVENTS + 1):
         candidates, first, rest = 0, NOTHING, -math.inf
         for k in range(bodies):
@@ -195,7 +200,8 @@ def follow_block(
         if candidates == 0:
             return
         met, only, top = 0, NOTHING, -math.inf
-        if candidates == 1 or (skips & SKIP_LEFT_BEHIND and all_down and balls[first, 9] >= rest):
+        only_one = candidates == 1 and balls[first, 9] < last_top  # back up hardly a ray goes: asked first
+        if only_one or (skips & SKIP_LEFT_BEHIND and all_down and balls[first, 9] >= rest):
             some, all_down = refract_block(first, True, balls, count, rays, trips)
             if not some:
                 wanted[first] = 0
@@ -216,6 +222,7 @@ def follow_block(
                         only, top = k, max(top, balls[k, 10])
             if met == 0:
                 return
+        last_top = top
         for k in range(bodies):
             above = all_down and balls[k, 9] >= top
             behind = (met == 1 and k == only) or (above and skips & SKIP_LEFT_BEHIND)
@@ -259,6 +266,40 @@ def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: i
         first = min(first, i if meets else width)
         last = max(last, i + 1 if meets else 0)
     return max(0, first - 1), max(max(0, first - 1), min(width, last + 1))
+
+
+@kernel
+def lone_square(k: int, camera: Array, balls: Array) -> float:
+    """Square of a distance b from the centre of sphere k within which a direct ray meets no sphere behind it.
+
+    With the symbols above, b = R sin psi, and alpha the angle between a ray and the axis u from pinhole to centre:
+    theta = delta - alpha, and of coordinates (aside on the ray's side, along u) the direction behind the sphere is
+    (-sin theta, cos theta), the foot point b (cos theta, sin theta).  A centre at s along u and a aside, in a
+    plane turned by phi, stands closest to the ray at phi = 0 or pi: the square of the distance is concave in
+    cos phi, and where the ray does not approach, it is beyond the foot point, as spheres do not overlap.  There it
+    is |+-a cos theta + s sin theta - b|, and ahead is s cos theta -+ a sin theta > 0.
+    Steps of psi are compared in their middle, bounds widened by what half a step can change.
+    """
+    centre, radius = vector_at(balls[k], 0), math.sqrt(balls[k, 3])
+    axis = subtract(centre, eye_of(camera))
+    length = math.sqrt(dot(axis, axis))
+    half = 0.25 * math.pi / LONE_STEPS
+    rate = half * max(2.0, radius / math.sqrt(length * length - balls[k, 3]))  # of theta in half a step, at most
+    for step in range(LONE_STEPS):
+        psi = (2 * step + 1) * half
+        b = radius * math.sin(psi)
+        theta = 2.0 * (psi - math.asin(math.sin(psi) * balls[k, 6])) - math.asin(b / length)
+        sine, cosine = math.sin(theta), math.cos(theta)
+        for j in range(balls.shape[0]):
+            c = subtract(vector_at(balls[j], 0), centre)
+            along, away = dot(c, axis) / length, math.sqrt(dot(c, c))
+            aside = math.sqrt(max(away * away - along * along, 0.0))
+            reach = math.sqrt(balls[j, 3]) + away * rate + radius * half
+            for side in (-aside, aside):
+                ahead = along * cosine - side * sine > -away * rate
+                if j != k and ahead and abs(side * cosine + along * sine - b) < reach:
+                    return (radius * math.sin(psi - half)) ** 2
+    return float(balls[k, 3])
 
 
 @kernel

@@ -1,9 +1,10 @@
 """Rows of the sensor, block by block: which columns meet glass, how each block is traced, where it is written.
 
 A row is cut into spans that some silhouette reaches and the rest.  The rest is the pinhole's line to the plane; a
-span is cut into blocks of LANES pixels.  Where the scene has one sphere only, a block goes from pixel to plane
-straight as well, otherwise by the rounds of ``tracer.kernels.chain``: it then holds the plane point in columns PX,
-PY (NaN: the ray does not go down) and the branch number in PICK.
+span is cut into blocks of LANES pixels.  Where the scene has one sphere only, or every ray meets one sphere and
+nothing behind it (`lone_spans`, one interval a row and sphere), a block goes from pixel to plane straight as well,
+otherwise by the rounds of ``tracer.kernels.chain``: it then holds the plane point in columns PX, PY (NaN: the ray
+does not go down) and the branch number in PICK.
 
 Every pixel has the same bits whatever block it stands in: all loops that calculate run over whole vectors.
 
@@ -17,22 +18,28 @@ all stay.
 from typing import NamedTuple
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.branches import UNKNOWN, branch_number
-from tracer.kernels.camera import CENTRE_U, FOCAL
+from tracer.kernels.branches import NOTHING, UNKNOWN, branch_number
+from tracer.kernels.camera import CENTRE_U, FOCAL, axes_of
 from tracer.kernels.chain import (
     PICK,
+    SKIP_LONE,
     SKIP_SILHOUETTES,
     TRIP,
     begin_block,
     direct_block,
     follow_block,
     glass_span,
+    image_ray,
     insert_span,
     place_row,
     single_block,
 )
 from tracer.kernels.packets import LANES, PX, STEP, VECTOR, hit_plane, whole_vectors
+from tracer.kernels.vectors import dot, subtract, vector_at
 from tracer.kernels.world import MISSED_PLANE, RECOVERED
+
+SLACK = 3  # columns that `glass_span` may give too many, each way, and one more
+FRONT_MM = 1e-6  # by which foot points differ at least: far above rounding, far below any gap
 
 
 class Mirrors(NamedTuple):
@@ -119,7 +126,8 @@ def glass_block(
 ) -> int:
     """Trace `count` columns from `low` on; returns how many have no branch number."""
     full = whole_vectors(count)
-    begin_block(scratch.x[low : low + full], scratch.y[low : low + full], camera, scratch.rays, scratch.trips)
+    y = scratch.y[:1] if options.flat else scratch.y[low:]
+    begin_block(scratch.x[low : low + full], y, camera, scratch.rays, scratch.trips)
     follow_block(low, full, options.skips, balls, scratch.spans, scratch.rays, scratch.trips, scratch.wanted)
     hit_plane(full, scratch.rays)
     return number_block(count, options.paired, balls, scratch.trips)
@@ -139,25 +147,27 @@ def write_block(count: int, rays: Array, trips: Array, out: MapArrays) -> None:
 
 @kernel
 def straight_span(
-    inside: bool, low: int, camera: Array, balls: Array, scratch: RowScratch, out: MapArrays
+    alone: int, flat: bool, low: int, camera: Array, balls: Array, scratch: RowScratch, out: MapArrays
 ) -> None:
-    """Trace and write a span from column `low` on, straight or if `inside` through the only sphere.
+    """Trace and write a span from column `low` on, through the sphere `alone`, or straight if that is NOTHING.
 
     Its last pixels, no whole vector, go by way of scratch.
     """
     (point, status, branch), rays, trips = out, scratch.rays, scratch.trips
-    x, y = scratch.x[low:], scratch.y[low:]
     count = status.shape[0]
     whole = count // VECTOR * VECTOR
-    last = slice(whole, whole + VECTOR if whole < count else whole)
-    if inside:
-        up = single_block(x[:whole], y[:whole], camera, balls, point, branch)
-        up += single_block(x[last], y[last], camera, balls, rays, trips)
+    more = VECTOR if whole < count else 0
+    x, y = scratch.x[low : low + whole], scratch.y[:1] if flat else scratch.y[low:]
+    low += whole
+    last_x, last_y = scratch.x[low : low + more], scratch.y[:1] if flat else scratch.y[low:]
+    if alone >= 0:
+        up = single_block(x, y, camera, balls, alone, point, branch)
+        up += single_block(last_x, last_y, camera, balls, alone, rays, trips)
         for i in range(whole, count):
             branch[i] = trips[i - whole]
     else:
-        up = direct_block(x[:whole], y[:whole], camera, point)
-        up += direct_block(x[last], y[last], camera, rays)
+        up = direct_block(x, y, camera, point)
+        up += direct_block(last_x, last_y, camera, rays)
         branch[:] = 0
     for i in range(2 * (count - whole)):
         point[2 * whole + i] = rays[i]
@@ -179,6 +189,46 @@ def silhouettes(options: RowOptions, camera: Array, balls: Array, width: int, sc
         if low < high:
             count = insert_span(spans[bodies:], count, low, high)
     return count
+
+
+@kernel
+def lone_spans(
+    options: RowOptions, camera: Array, balls: Array, discs: Array, width: int, scratch: RowScratch
+) -> None:
+    """Write to spans[2 N:] the columns of a row in which rays meet sphere k first and no other one behind it.
+
+    They lie within its disc (`lone_square`) and outside the silhouettes of those that may stand before it.
+    """
+    bodies, spans, x, y = balls.shape[0], scratch.spans, scratch.x[:width], scratch.y[:width]
+    if bodies == 1:
+        spans[2, 0], spans[2, 1] = spans[0, 0], spans[0, 1]
+        return
+    for k in range(bodies):
+        low, high = 0, 0
+        if options.flat and options.skips & SKIP_LONE:
+            low, high = glass_span(x, y, True, camera, discs, k)
+        low, high = low + SLACK, high - SLACK
+        for j in range(bodies):
+            first, last = spans[j, 0], spans[j, 1]
+            if j != k and low < high and first < high and last > low:
+                apart, axes = subtract(vector_at(balls[j], 0), vector_at(balls[k], 0)), axes_of(camera)
+                one, other = image_ray(x[low], y[0], axes), image_ray(x[high - 1], y[0], axes)
+                if not min(dot(apart, one), dot(apart, other)) > FRONT_MM:
+                    # Somewhere j's foot point is the nearer one: the longer part beside its silhouette is left
+                    low, high = (low, first) if first - low > high - last else (last, high)
+        spans[2 * bodies + k, 0], spans[2 * bodies + k, 1] = (low, high) if low < high else (0, 0)
+
+
+@kernel
+def lone_at(low: int, high: int, lone: Array) -> tuple[int, int]:
+    """Sphere whose lone columns (N, 2) begin at or before `low`, or NOTHING; and where these, or others, end."""
+    alone = NOTHING
+    for k in range(lone.shape[0]):
+        if lone[k, 0] <= low < lone[k, 1]:
+            alone, high = k, min(high, lone[k, 1])
+        elif low < lone[k, 0]:
+            high = min(high, lone[k, 0])
+    return alone, high
 
 
 @kernel
@@ -219,31 +269,36 @@ def write_mirrored(row: int, edge: int, mirrors: Mirrors, unknown: Array, out: M
 
 @kernel
 def sensor_rows(
-    optics: tuple[Array, Array], options: RowOptions, mirrors: Mirrors, first: int, last: int, scratch: RowScratch,
-    unknown: Array, out: MapArrays,
+    optics: tuple[Array, Array, Array], options: RowOptions, mirrors: Mirrors, first: int, last: int,
+    scratch: RowScratch, unknown: Array, out: MapArrays,
 ) -> None:  # fmt: skip
     """Trace rows first..last-1, and with ``mirrors.in_y`` write those they are the mirror image of as well.
 
-    `optics` are camera and balls; ``unknown`` (H,) int64 receives the pixels a row without a branch number.
+    `optics` are camera, balls and these with the R^2 of `lone_square`; ``unknown`` (H,) int64 receives the pixels
+    a row without a branch number.
     """
-    camera, balls = optics
+    camera, balls, discs = optics
     width, bodies = out.status.shape[1], balls.shape[0]
     flat_columns(options.flat, camera, scratch.x)
     edge = (width + 1) // 2 if mirrors.in_x else width
     for row in range(first, last):
-        place_row(row, options.flat, camera, scratch.x, scratch.y)
+        place_row(row, options.flat, camera, scratch.x, scratch.y[:1] if options.flat else scratch.y)
         count = silhouettes(options, camera, balls, width, scratch)
+        lone_spans(options, camera, balls, discs, width, scratch)
         unknown[row] = 0
         low, j = 0, 0
         while low < edge:
             j, inside, high = next_span(low, edge, scratch.spans[bodies:], count, j)
-            through = inside and bodies > 1
+            alone = NOTHING
+            if inside:
+                alone, high = lone_at(low, high, scratch.spans[2 * bodies : 3 * bodies])
+            through = inside and alone == NOTHING
             high = min(high, low + LANES) if through else high
             part = part_of_row(out, row, low, high)
             if through:
                 unknown[row] += glass_block(low, high - low, options, camera, balls, scratch)
                 write_block(high - low, scratch.rays, scratch.trips, part)
             else:
-                straight_span(inside, low, camera, balls, scratch, part)
+                straight_span(alone, options.flat, low, camera, balls, scratch, part)
             low = high
         write_mirrored(row, edge, mirrors, unknown, out)

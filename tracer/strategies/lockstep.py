@@ -11,6 +11,7 @@ A camera that looks straight down on x = 0 (or y = 0) at bodies that are their o
 that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.sensor``).
 """
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,15 @@ from tracer.bodies import Sphere
 from tracer.bodies.window import ROW
 from tracer.kernels.apparent import FACE
 from tracer.kernels.branches import UNKNOWN
-from tracer.kernels.chain import BALL, RAY_NUMBERS, SKIP_LEFT_BEHIND, SKIP_SILHOUETTES, TRIP_NUMBERS
+from tracer.kernels.chain import (
+    BALL,
+    RAY_NUMBERS,
+    SKIP_LEFT_BEHIND,
+    SKIP_LONE,
+    SKIP_SILHOUETTES,
+    TRIP_NUMBERS,
+    lone_square,
+)
 from tracer.kernels.packets import LANES, VECTOR
 from tracer.kernels.sensor import MapArrays, Mirrors, RowOptions, RowScratch, sensor_rows
 from tracer.kernels.windowed import WindowScratch, rows_behind_windows
@@ -33,7 +42,7 @@ NO_WINDOWS = np.empty((0, len(ROW)))
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
 LINE = 64  # bytes of a cache line
 SKIP_MIRRORED = 4
-ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND | SKIP_MIRRORED
+ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND | SKIP_MIRRORED | SKIP_LONE
 STRAIGHT_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
 
@@ -71,12 +80,18 @@ def trace_lockstep(
     if not skips & SKIP_MIRRORED:
         mirrors = NO_MIRRORS
     unknown, out = np.zeros(height, np.int64), MapArrays(plane.reshape(height, 2 * width), status, branch)
-    options = RowOptions(flat, paired, skips)
+    options, discs = RowOptions(flat, paired, skips), balls.copy()
+    discs[:, 3] = [lone_square(k, camera, balls) for k in range(len(balls))]
+    spare = deque[RowScratch]()
 
     def work(first: int, last: int) -> None:
-        scratch = row_scratch(width, len(balls))
+        try:
+            scratch = spare.pop()
+        except IndexError:
+            scratch = row_scratch(width, len(balls))
         if len(windows) == 0:
-            sensor_rows((camera, balls), options, mirrors, first, last, scratch, unknown, out)
+            sensor_rows((camera, balls, discs), options, mirrors, first, last, scratch, unknown, out)
+            spare.append(scratch)
             return
         behind = WindowScratch(
             scratch,

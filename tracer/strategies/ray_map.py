@@ -150,7 +150,6 @@ def build_ray_map(
     if most_bodies is not None and not 0 <= most_bodies <= MAX_EVENTS:
         raise RayMapUsageError(f"most_bodies is 0 to {MAX_EVENTS}, not {most_bodies}")
     height, width = scene.camera.shape
-    require_memory(BYTES_PER_PX * height * width, f"the ray map of a sensor of {width} x {height} px")
     kind = np.dtype(np.float32 if single else np.float64)
     if (
         out is not None
@@ -160,6 +159,7 @@ def build_ray_map(
     ):
         plane, status, branch = out.plane_mm, out.status, out.branch
     else:
+        require_memory(BYTES_PER_PX * height * width, f"the ray map of a sensor of {width} x {height} px")
         plane, status = np.empty((height, width, 2), kind), np.empty((height, width), np.uint8)
         branch = np.empty((height, width), np.uint16)
     most = MAX_EVENTS if most_bodies is None else most_bodies
