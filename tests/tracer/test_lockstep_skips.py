@@ -16,11 +16,17 @@ from tracer.kernels.chain import (
     SKIP_SILHOUETTES,
     glass_span,
     insert_span,
-    lone_square,
     place_row,
 )
 from tracer.scene.scene import Scene
-from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, pack_chain, trace_lockstep
+from tracer.strategies.lockstep import (
+    ALL_SKIPS,
+    SKIP_MIRRORED,
+    find_mirrors,
+    lone_discs,
+    pack_chain,
+    trace_lockstep,
+)
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.trace import pack_camera, trace
 
@@ -98,14 +104,14 @@ def test_only_exact_mirrors_count() -> None:
 
 @loop_over("where", [some_scene("pyramid_500"), *map(random_lockstep_scene, range(40, 48))])
 def test_nothing_is_met_behind_a_lone_disc(where: Scene) -> None:
-    """Rays aimed at discs of `lone_square`, most of them near its rim, against where `trace_ray` takes them."""
+    """Rays aimed at discs of `lone_discs`, most of them near its rim, against where `trace_ray` takes them."""
     camera, balls, rng = pack_camera(where.camera), pack_chain(where), np.random.default_rng(5)
     eye, names = camera[:3], [body.name for body in sorted(where.spheres, key=lambda each: -each.centre_mm[2])]
     for k in range(len(balls)):
         axis = balls[k, :3] - eye
         length, turn = np.linalg.norm(axis), rng.uniform(0.0, 2.0 * np.pi, (400, 1))
         aside, across = np.linalg.svd(axis[None] / length)[2][1:]
-        b = np.sqrt(lone_square(k, camera, balls)) * (1.0 - 10.0 ** rng.uniform(-6.0, 0.0, (400, 1)))
+        b = np.sqrt(lone_discs(camera, balls)[k, 3]) * (1.0 - 10.0 ** rng.uniform(-6.0, 0.0, (400, 1)))
         sine = b / length
         ways = np.sqrt(1.0 - sine**2) * axis / length + sine * (np.cos(turn) * aside + np.sin(turn) * across)
         found = trace(where, where.camera.project(eye + length * ways))
@@ -118,7 +124,7 @@ def test_a_lone_disc_is_nearly_the_silhouette_of_a_ball_beside_others() -> None:
     """Lower balls of a pyramid touch their neighbours; the top one has the gap between them below it."""
     where = some_scene("pyramid_500")
     camera, balls = pack_camera(where.camera), pack_chain(where)
-    shares = [np.sqrt(lone_square(k, camera, balls) / balls[k, 3]) for k in range(5)]
+    shares = np.sqrt(lone_discs(camera, balls)[:, 3] / balls[:, 3])
     assert 0.7 < shares[0] < 0.8
     assert min(shares[1:]) > 0.99
 

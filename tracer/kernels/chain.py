@@ -49,7 +49,6 @@ QQ, IQ, NEAR = (k * STEP for k in range(6, 9))
 RAY_NUMBERS = 9 * STEP
 PICK, TRIP = (k * STEP for k in range(2))
 TRIP_NUMBERS = 2 * STEP
-LONE_STEPS = 128  # angles of incidence for which rays behind a sphere are compared with the others
 # Skips that a test may switch off; the result must not change
 SKIP_SILHOUETTES, SKIP_LEFT_BEHIND, SKIP_LONE = 1, 2, 8
 
@@ -266,40 +265,6 @@ def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: i
         first = min(first, i if meets else width)
         last = max(last, i + 1 if meets else 0)
     return max(0, first - 1), max(max(0, first - 1), min(width, last + 1))
-
-
-@kernel
-def lone_square(k: int, camera: Array, balls: Array) -> float:
-    """Square of a distance b from the centre of sphere k within which a direct ray meets no sphere behind it.
-
-    With the symbols above, b = R sin psi, and alpha the angle between a ray and the axis u from pinhole to centre:
-    theta = delta - alpha, and of coordinates (aside on the ray's side, along u) the direction behind the sphere is
-    (-sin theta, cos theta), the foot point b (cos theta, sin theta).  A centre at s along u and a aside, in a
-    plane turned by phi, stands closest to the ray at phi = 0 or pi: the square of the distance is concave in
-    cos phi, and where the ray does not approach, it is beyond the foot point, as spheres do not overlap.  There it
-    is |+-a cos theta + s sin theta - b|, and ahead is s cos theta -+ a sin theta > 0.
-    Steps of psi are compared in their middle, bounds widened by what half a step can change.
-    """
-    centre, radius = vector_at(balls[k], 0), math.sqrt(balls[k, 3])
-    axis = subtract(centre, eye_of(camera))
-    length = math.sqrt(dot(axis, axis))
-    half = 0.25 * math.pi / LONE_STEPS
-    rate = half * max(2.0, radius / math.sqrt(length * length - balls[k, 3]))  # of theta in half a step, at most
-    for step in range(LONE_STEPS):
-        psi = (2 * step + 1) * half
-        b = radius * math.sin(psi)
-        theta = 2.0 * (psi - math.asin(math.sin(psi) * balls[k, 6])) - math.asin(b / length)
-        sine, cosine = math.sin(theta), math.cos(theta)
-        for j in range(balls.shape[0]):
-            c = subtract(vector_at(balls[j], 0), centre)
-            along, away = dot(c, axis) / length, math.sqrt(dot(c, c))
-            aside = math.sqrt(max(away * away - along * along, 0.0))
-            reach = math.sqrt(balls[j, 3]) + away * rate + radius * half
-            for side in (-aside, aside):
-                ahead = along * cosine - side * sine > -away * rate
-                if j != k and ahead and abs(side * cosine + along * sine - b) < reach:
-                    return (radius * math.sin(psi - half)) ** 2
-    return float(balls[k, 3])
 
 
 @kernel

@@ -197,7 +197,7 @@ def lone_spans(
 ) -> None:
     """Write to spans[2 N:] the columns of a row in which rays meet sphere k first and no other one behind it.
 
-    They lie within its disc (`lone_square`) and outside the silhouettes of those that may stand before it.
+    They lie within its disc (`lone_discs`) and outside the silhouettes of those that may stand before it.
     """
     bodies, spans, x, y = balls.shape[0], scratch.spans, scratch.x[:width], scratch.y[:width]
     if bodies == 1:
@@ -274,7 +274,7 @@ def sensor_rows(
 ) -> None:  # fmt: skip
     """Trace rows first..last-1, and with ``mirrors.in_y`` write those they are the mirror image of as well.
 
-    `optics` are camera, balls and these with the R^2 of `lone_square`; ``unknown`` (H,) int64 receives the pixels
+    `optics` are camera, balls and these with the R^2 of `lone_discs`; ``unknown`` (H,) int64 receives the pixels
     a row without a branch number.
     """
     camera, balls, discs = optics

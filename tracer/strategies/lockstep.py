@@ -29,7 +29,6 @@ from tracer.kernels.chain import (
     SKIP_LONE,
     SKIP_SILHOUETTES,
     TRIP_NUMBERS,
-    lone_square,
 )
 from tracer.kernels.packets import LANES, VECTOR
 from tracer.kernels.sensor import MapArrays, Mirrors, RowOptions, RowScratch, sensor_rows
@@ -40,6 +39,7 @@ from tracer.strategies.trace import pack_camera, trace
 
 NO_WINDOWS = np.empty((0, len(ROW)))
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
+LONE_STEPS = 128  # angles of incidence for which rays behind a sphere are compared with the others
 LINE = 64  # bytes of a cache line
 SKIP_MIRRORED = 4
 ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND | SKIP_MIRRORED | SKIP_LONE
@@ -80,8 +80,8 @@ def trace_lockstep(
     if not skips & SKIP_MIRRORED:
         mirrors = NO_MIRRORS
     unknown, out = np.zeros(height, np.int64), MapArrays(plane.reshape(height, 2 * width), status, branch)
-    options, discs = RowOptions(flat, paired, skips), balls.copy()
-    discs[:, 3] = [lone_square(k, camera, balls) for k in range(len(balls))]
+    options = RowOptions(flat, paired, skips)
+    discs = lone_discs(camera, balls) if flat and len(balls) > 1 and len(windows) == 0 else balls
     spare = deque[RowScratch]()
 
     def work(first: int, last: int) -> None:
@@ -106,6 +106,43 @@ def trace_lockstep(
     branches = chain_branches(scene)
     name_unknown(scene, np.nonzero(unknown)[0], branches, plane, status, branch)
     return tuple(branches)
+
+
+def lone_discs(camera: NDArray[np.float64], balls: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `balls` (N, BALL) with the square of a distance b for R^2: rays closer meet no ball behind this one.
+
+    With the symbols of ``tracer.kernels.chain``, b = R sin psi, and alpha the angle between a ray and the axis u
+    from pinhole to centre: theta = delta - alpha, and of coordinates (aside on the ray's side, along u) the
+    direction behind the sphere is (-sin theta, cos theta), the foot point b (cos theta, sin theta).  A centre at s
+    along u and a aside, in a plane turned by phi, stands closest to the ray at phi = 0 or pi: the square of the
+    distance is concave in cos phi, and where the ray does not approach, it is beyond the foot point, as spheres do
+    not overlap.  There it is |+-a cos theta + s sin theta - b|, and ahead is s cos theta -+ a sin theta > 0.
+    Steps of psi are compared in their middle, bounds widened by what half a step can change.
+    """
+    centres, radius = balls[:, :3], np.sqrt(balls[:, 3])
+    axis = centres - camera[:3]
+    length = np.sqrt((axis * axis).sum(axis=1))
+    half = 0.25 * np.pi / LONE_STEPS
+    psi = half * np.arange(1, 2 * LONE_STEPS, 2)
+    b = radius[:, None] * np.sin(psi)  # (N, steps)
+    theta = 2.0 * (psi - np.arcsin(np.sin(psi) * balls[:, 6:7])) - np.arcsin(b / length[:, None])
+    sine, cosine = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    c = centres - centres[:, None]  # (N, others, 3)
+    away = np.sqrt((c * c).sum(axis=2))
+    along = (c * axis[:, None]).sum(axis=2) / length[:, None]
+    aside = np.sqrt(np.maximum(away * away - along * along, 0.0))
+    rate = half * np.maximum(2.0, radius / np.sqrt(length**2 - balls[:, 3]))  # of theta in half a step, at most
+    slack = away * rate[:, None]
+    reach = radius + slack + (radius * half)[:, None]
+    meets = np.zeros((len(balls), len(balls), LONE_STEPS), np.bool_)
+    for side in (-aside, aside):
+        ahead = along[..., None] * cosine - side[..., None] * sine > -slack[..., None]
+        meets |= ahead & (abs(side[..., None] * cosine + along[..., None] * sine - b[:, None]) < reach[..., None])
+    meets[np.arange(len(balls)), np.arange(len(balls))] = False
+    first = np.minimum.reduce(np.where(meets, np.arange(LONE_STEPS), LONE_STEPS), axis=(1, 2))
+    discs = balls.copy()
+    discs[:, 3] *= np.sin(2.0 * half * first) ** 2
+    return discs
 
 
 NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
