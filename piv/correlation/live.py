@@ -49,20 +49,16 @@ def live_vectors(
         raise PairError(f"two frames of one size are needed, not {np.shape(frame_a)} and {np.shape(frame_b)}")
     mask = None if valid is None else _join(valid.astype(np.float32)) > 0.9
     field = evaluate_pair(_join(frame_a), _join(frame_b), mask, LIVE, threads)
+    doubled: dict[str, Any] = {name: 2.0 * part for name, part in field.lengths.items()}
     return replace(
         field,
         x_px=2.0 * field.x_px + 0.5,
         y_px=2.0 * field.y_px + 0.5,
-        u_px=2.0 * field.u_px,
-        v_px=2.0 * field.v_px,
-        sigma_u_px=2.0 * field.sigma_u_px,
-        sigma_v_px=2.0 * field.sigma_v_px,
         window_px=2 * field.window_px,
         step_px=2 * field.step_px,
         nan_pixels=4 * field.nan_pixels,
         side_px=None if field.side_px is None else 2 * field.side_px,
-        resolution_px=None if field.resolution_px is None else 2.0 * field.resolution_px,
-        steady_px=None if field.steady_px is None else 2.0 * field.steady_px,
+        **doubled,
     )
 
 

@@ -326,7 +326,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     found, grid, settings = course.found, course.grid, course.settings
     vectors, good = found.vectors_px, found.good
     sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
-    sigma, parts = np.full(vectors.shape, np.nan), np.full((2, *grid.shape), np.nan)
+    sigma, before = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
+    parts = np.full((3, *grid.shape), np.nan)
     if found.refined is not None:
         # 1. Noise of one correlation; it decides which vectors are measured.
         # What the last pass still found: the asymmetry that it causes is no noise.
@@ -345,8 +346,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
         noise = np.where(good[..., None] & np.isnan(noise), LARGEST_PX, noise)
         # 2. Noise of the result; no filter takes the sampling error off.
-        vectors, sigma, removed = _remove_noise(course, sizes, good, noise, added)
-        sigma = np.hypot(sigma, sampling_error_px(spread_px2))
+        before, (vectors, sigma, removed) = _remove_noise(course, sizes, good, noise, added)
+        sigma, before = (np.hypot(part, sampling_error_px(spread_px2)) for part in (sigma, before))
         # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
         final = fill_gaps(vectors, good)[0]
         uneven = unevenness(particles, np.clip(central / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(-1))
@@ -354,7 +355,7 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         steady = steady_px(
             modelled, missed_px, sizes.side_px == settings.windows_px[-1], settings.windows_px[-1] / grid.step_px
         )
-        parts = np.stack((np.maximum(modelled.total_px, missed_px), steady))
+        parts = np.stack((np.maximum(modelled.total_px, missed_px), *steady))
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
             finer = _short_wave_error(course, good, noise, added)
@@ -394,7 +395,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
     fill = np.where(nothing[..., None], np.nan, fill)
     known = (flags == VectorFlag.VALID) & settings.uncertainty
     sigma = np.where(known[..., None], sigma, np.nan)
-    resolution, steady = np.where(known & np.isfinite(sigma).all(axis=-1), parts, np.nan)
+    is_filtered = settings.uncertainty and settings.denoise > 0.0  # and the noise of a mean is known
+    resolution, steady, unfiltered_steady = np.where(known & np.isfinite(sigma).all(axis=-1), parts, np.nan)
     return VectorField(
         x_px=grid.x_px,
         y_px=grid.y_px,
@@ -413,6 +415,9 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         steady_px=steady,
         added_passes=added,
         side_px=None if found.sizes is None else found.sizes.side_px,
+        unfiltered_px=np.where(known[..., None], found.vectors_px, np.nan) if is_filtered else None,
+        unfiltered_sigma_px=np.where(known, before, np.nan) if is_filtered else None,
+        unfiltered_steady_px=unfiltered_steady if is_filtered else None,
     )
 
 
@@ -456,22 +461,22 @@ def _is_mostly_unmatched(found: Measured, good: NDArray[np.bool_]) -> NDArray[np
 
 def _remove_noise(
     course: MultipassState, sizes: Sizes, good: NDArray[np.bool_], sigma: Floats, added: int
-) -> Denoised:
-    """Vectors after the last filter, with their sigma; `sigma` (ny, nx, 2) is that of one correlation."""
+) -> tuple[Floats, Denoised]:
+    """Return sigma of a component before the last filter, and its result; `sigma` is that of one correlation."""
     settings, step, vectors = course.settings, course.grid.step_px, course.found.vectors_px
     levels = levels_of(settings, step) if settings.denoise > 0.0 and min(course.grid.shape) >= 2 else []
+    passes = [(side, smoothings_of(settings, side, step, added)) for side in sizes.sides_px]
     growths = []
-    for part in parts_of(levels) if levels else [total_response]:
+    for part in (total_response, *(parts_of(levels) if levels else ())):
         of_side = [
-            noise_growth(
-                window_weights(side, settings.window_sigma), step, smoothings_of(settings, side, step, added), part
-            )
-            for side in sizes.sides_px
+            noise_growth(window_weights(side, settings.window_sigma), step, between, part)
+            for side, between in passes
         ]
         growths.append(np.array(of_side)[sizes.which])
+    before = np.sqrt(np.square(sigma).mean(axis=-1)) * growths[0]
     if not levels:
-        return Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
-    return remove_noise(vectors, good, sigma, growths, levels, settings.denoise)
+        return before, Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
+    return before, remove_noise(vectors, good, sigma, growths[1:], levels, settings.denoise)
 
 
 def _short_wave_error(course: MultipassState, good: NDArray[np.bool_], sigma: Floats, added: int) -> Floats:

@@ -66,11 +66,13 @@ class Window(NamedTuple):
 class Modelled(NamedTuple):
     """Standard deviation (ny, nx) of a component by what windows do not resolve.
 
-    `total_px` is the whole, `seeding_px` the part by where particles lie, which is new in every pair.
+    `total_px` is the whole, `seeding_px` the part by where particles lie, which is new in every pair, and
+    `unseen_px` the one by short waves, which stays before the last filter.
     """
 
     total_px: Floats
     seeding_px: Floats
+    unseen_px: Floats
 
 
 def resolution_model_px(vectors: Floats, taken_px: Floats, uneven: Floats, window: Window) -> Modelled:
@@ -95,11 +97,15 @@ def resolution_model_px(vectors: Floats, taken_px: Floats, uneven: Floats, windo
     if window.found:
         displaced = displaced * np.minimum(displaced / TWICE_PX, 1.0)
     missing = 0.5 * (1.0 - window.shown) * bent_px
-    return Modelled(np.sqrt(taken_px**2 + displaced**2 + missing**2), displaced)
+    return Modelled(np.sqrt(taken_px**2 + displaced**2 + missing**2), displaced, missing)
 
 
-def steady_px(modelled: Modelled, missed_px: Floats, is_usual: NDArray[np.bool_], window_steps: float) -> Floats:
-    """Return the part (ny, nx) of the resolution error that is the same in every pair of a steady flow.
+def steady_px(
+    modelled: Modelled, missed_px: Floats, is_usual: NDArray[np.bool_], window_steps: float
+) -> tuple[Floats, Floats]:
+    """Return the parts (ny, nx) of the resolution error that are the same in every pair of a steady flow.
+
+    That of filtered vectors, and that of vectors before the last filter.
 
     Parameters
     ----------
@@ -118,8 +124,9 @@ def steady_px(modelled: Modelled, missed_px: Floats, is_usual: NDArray[np.bool_]
     squares = (np.where(is_usual, part, 0.0) for part in (np.square(missed_px), gained))
     missed, seeding = (scipy.ndimage.gaussian_filter(part, STEADY * window_steps) for part in squares)
     share = np.clip(1.0 - seeding / np.maximum(missed, 1e-30), 0.0, 1.0)
-    model = np.maximum(np.square(modelled.total_px) - np.square(modelled.seeding_px), 0.0)
-    return np.asarray(np.sqrt(np.maximum(model, share * np.square(missed_px))))
+    filtered = np.maximum(np.square(modelled.total_px) - np.square(modelled.seeding_px), 0.0)
+    halving = share * np.square(missed_px)
+    return np.sqrt(np.maximum(filtered, halving)), np.sqrt(np.maximum(np.square(modelled.unseen_px), halving))
 
 
 def unevenness(pieces: Floats, middle: Floats) -> Floats:

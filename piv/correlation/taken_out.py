@@ -52,14 +52,10 @@ def is_measured(field: VectorField, empty: NDArray[np.bool_]) -> bool:
 def without_vectors(field: VectorField, gone: NDArray[np.bool_], flag: VectorFlag) -> VectorField:
     """The field without some of its vectors (ny, nx), which get a flag instead."""
     flags = np.where(gone, np.uint8(flag), field.flags)
-    names = (
-        "u_px",
-        "v_px",
-        "sigma_u_px",
-        "sigma_v_px",
-        *(() if field.resolution_px is None else ("resolution_px", "steady_px")),
-    )
-    without: dict[str, Any] = {name: np.where(gone, np.nan, getattr(field, name)) for name in names}
+    without: dict[str, Any] = {
+        name: np.where(gone.reshape(gone.shape + (1,) * (part.ndim - 2)), np.nan, part)
+        for name, part in field.lengths.items()
+    }
     return replace(field, flags=flags, **without)
 
 
@@ -68,8 +64,14 @@ def without_seams(field: VectorField, common: CommonLight) -> VectorField:
     length_px = np.hypot(field.u_px, field.v_px)
     pushed_px = common.lengthening_px(length_px)
     kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
-    parts = {name: getattr(field, name) for name in ("resolution_px", "steady_px")}
-    more = {name: np.hypot(part, 0.5 * pushed_px) for name, part in parts.items() if part is not None}
+    lengths = field.lengths
+    more: dict[str, Any] = {
+        name: np.hypot(lengths[name], 0.5 * pushed_px)
+        for name in ("resolution_px", "steady_px", "unfiltered_steady_px")
+        if name in lengths
+    }
+    if "unfiltered_px" in lengths:
+        more["unfiltered_px"] = lengths["unfiltered_px"] * kept[..., None]
     field = replace(
         field,
         u_px=field.u_px * kept,

@@ -40,6 +40,17 @@ class VectorFlag(IntEnum):
     STILL = 4  # a wall or a reflection, whose light stands still beside a flow, or no particles: no vector, NaN
 
 
+LENGTHS = (
+    "u_px",
+    "v_px",
+    "sigma_u_px",
+    "sigma_v_px",
+    "resolution_px",
+    "steady_px",
+    "unfiltered_px",
+    "unfiltered_sigma_px",
+    "unfiltered_steady_px",
+)
 NOT_ASKED = (VectorFlag.MASKED, VectorFlag.STILL)  # where nothing could be measured
 
 
@@ -85,6 +96,11 @@ class VectorField:
         short waves (`piv.correlation.response`).
     side_px : ndarray of int64, shape (ny, nx), optional
         Side of the window that each vector comes from: its resolution.
+    unfiltered_px : ndarray of float64, shape (ny, nx, 2), optional
+        Vectors before the noise filter (`piv.correlation.denoise`), NaN where not VALID; None without a filter.
+    unfiltered_sigma_px, unfiltered_steady_px : ndarray of float64, shape (ny, nx), optional
+        Random standard uncertainty of a component of these, and their `steady_px`, to which the filter adds what
+        it takes.
     is_one_picture : bool
         Whether both frames are the same, pixel by pixel.
     common_light_px : float
@@ -110,6 +126,9 @@ class VectorField:
     steady_px: Floats | None = None
     added_passes: int = 0
     side_px: NDArray[np.int64] | None = None
+    unfiltered_px: Floats | None = None
+    unfiltered_sigma_px: Floats | None = None
+    unfiltered_steady_px: Floats | None = None
     is_one_picture: bool = False
     common_light_px: float = 0.0
 
@@ -118,6 +137,12 @@ class VectorField:
         """Measured vectors, (ny, nx)."""
         valid: NDArray[np.bool_] = self.flags == VectorFlag.VALID
         return valid
+
+    @property
+    def lengths(self) -> dict[str, Floats]:
+        """Displacements and their uncertainties by name, arrays (ny, nx) or (ny, nx, 2) [px], as far as known."""
+        found = {name: getattr(self, name) for name in LENGTHS}
+        return {name: part for name, part in found.items() if part is not None}
 
     @property
     def total_sigma_px(self) -> Floats:

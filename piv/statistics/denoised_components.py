@@ -60,7 +60,7 @@ class NoiseFilter:
     def filter_w(self, w: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
         """Filter one component (ny, nx), NaN where it is not known: values, noise variance, variance taken off."""
         both = [np.repeat(part[..., None], 2, axis=-1) for part in (w, variance)]
-        values, noise, taken = (part[..., 0] for part in self._filter(both[0], both[1], np.isfinite(w)))
+        values, noise, taken = (part[..., 0] for part in self.filter_vectors(both[0], both[1], np.isfinite(w)))
         return np.where(np.isfinite(w), values, np.nan), noise, taken
 
     def apply(
@@ -93,7 +93,7 @@ class NoiseFilter:
         uv, both = uvw[..., :2] + lever * change, own + np.square(lever) * noise_w[..., None]
         noise_uv, taken_uv = both.copy(), np.square(lever) * taken_w[..., None]
         for good in (has_w, ~has_w & np.isfinite(uv[..., 0])):
-            values, variance, taken = self._filter(uv, both, good)
+            values, variance, taken = self.filter_vectors(uv, both, good)
             uv, noise_uv = (
                 np.where(good[..., None], new, old) for new, old in ((values, uv), (variance, noise_uv))
             )
@@ -105,8 +105,10 @@ class NoiseFilter:
         taken = np.concatenate((taken_uv, taken_w[..., None]), axis=-1)
         return np.concatenate((uv, w[..., None]), axis=-1), covariance, taken
 
-    def _filter(self, values: Floats, variance: Floats, good: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
-        """Filter two components (ny, nx, 2) of some places; returns as `filter_w`."""
+    def filter_vectors(
+        self, values: Floats, variance: Floats, good: NDArray[np.bool_]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Filter two components (ny, nx, 2) of the places `good` (ny, nx); returns as `filter_w`."""
         if not (self.beta and good.any()):
             return values, variance, np.zeros_like(variance)
         growths = [np.full(good.shape, growth) for growth in self.growths]

@@ -30,7 +30,7 @@ says so. With p, the share of the pairs that looked at a place and have a vector
 Where dropped vectors are chance, D is small, and so is this.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -132,6 +132,11 @@ class Unresolved:
         bent = _curvature(vectors, good, apart)
         missed = np.where(good, resolution, 0.0)[..., None] ** (1, 2)
         return cls(apart, good.astype(np.int64), missed, np.where(good, np.square(bent), 0.0))
+
+    def with_resolution(self, resolution: Floats) -> "Unresolved":
+        """The same pair, of which this resolution (ny, nx) is known, where any was: that of unfiltered vectors."""
+        missed = np.where(self.count > 0, resolution, 0.0)[..., None] ** (1, 2)
+        return replace(self, missed=missed)
 
     def merge_with(self, other: "Unresolved") -> "Unresolved":
         """Of both; SeriesError if they belong to different grids."""

@@ -15,7 +15,11 @@ import numpy as np
 
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.prepare import prepare_pair
+from piv.correlation.settings import FOUND_WINDOWS
 from piv.correlation.windows import WindowGrid
+from piv.statistics.denoised_components import NoiseFilter
+from piv.statistics.denoised_mean import DenoisedMean
+from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field, next_sweep
 from piv.statistics.moments import Moments
@@ -85,29 +89,35 @@ def series(flow, seed, diameter_px, image):
 
 
 def mean_of(pairs):
-    """Mean, sigma and stresses of the vectors of pairs, and their grid."""
-    moments = looked = missing = None
+    """The last field of pairs, moments of their vectors, their mean, and its sigma."""
+    moments = before = looked = missing = None
     for pair in pairs:
         field = evaluate_pair(*pair, threads=1)
         vectors = np.stack((field.u_px, field.v_px), -1)
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), -1)
         apart = max(1, round(0.5 * field.window_px / field.step_px))
         one = Moments.of(vectors, field.valid, sigma)
-        part = Unresolved.of(vectors, field.valid, field.steady_px, apart)
+        rough = Moments.of(
+            field.unfiltered_px, field.valid, np.repeat(field.unfiltered_sigma_px[..., None], 2, axis=-1)
+        )
+        part = Unresolved.of(vectors, field.valid, field.unfiltered_steady_px, apart)
+        before = rough if before is None else before.merge_with(rough)
         moments = one if moments is None else moments.merge_with(one)
         missing = part if missing is None else missing.merge_with(part)
         looked = field.asked.astype(int) + (0 if looked is None else looked)
-    sigma = np.sqrt(moments.covariance[..., :2] / np.maximum(moments.count, 1)[..., None])
-    lost = selection_sigma(moments, looked)
-    unsure = np.hypot(missing.share_of_mean(moments.mean_uv), np.nan_to_num(lost))
-    return field, moments, np.hypot(sigma, unsure[..., None])
+    how = NoiseFilter.of(FOUND_WINDOWS, field.step_px, FOUND_WINDOWS.denoise)
+    mean = DenoisedMean.of(before, moments, how)
+    independent = EffectiveSamples(np.maximum(moments.count, 1)[..., None], "", converged=True)
+    lost = np.hypot(np.nan_to_num(selection_sigma(moments, looked)), mean.taken)
+    unsure = np.hypot(missing.share_of_mean(mean.mean), lost)
+    return field, moments, mean.mean, np.hypot(mean.sigma(moments, independent), unsure[..., None])
 
 
 def of_means(flow, seed, diameter_px, image):
     """Errors and sigma (n, 2) of means."""
-    field, moments, sigma = mean_of(series(flow, seed, diameter_px, image))
+    field, moments, mean, sigma = mean_of(series(flow, seed, diameter_px, image))
     here, x, y = inner(field.x_px, field.y_px)
-    off = moments.mean_uv - np.stack(np.broadcast_arrays(*flow(seed)(x, y)), -1)
+    off = mean - np.stack(np.broadcast_arrays(*flow(seed)(x, y)), -1)
     here &= moments.count > PAIRS // 2
     return off[here], sigma[here]
 
@@ -115,12 +125,12 @@ def of_means(flow, seed, diameter_px, image):
 def of_ensembles(flow, seed, diameter_px, image, window_px=16):
     """Errors and sigma (n, 2) of ensemble correlation."""
     pairs = series(flow, seed, diameter_px, image)
-    field, moments, _ = mean_of(pairs)
+    field, moments, mean, _ = mean_of(pairs)
     grid = WindowGrid(*(np.rint(at - (field.window_px - 1) / 2).astype(int) for at in (field.y_px, field.x_px)),
                       field.window_px, field.step_px)  # fmt: skip
     sweep = sweep_with(
         (SIDE, SIDE),
-        moments.mean_uv,
+        mean,
         moments.reynolds_stresses,
         grid,
         prepare_pair(*pairs[0], None, 32).spread_px2,

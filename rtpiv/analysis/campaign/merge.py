@@ -26,7 +26,8 @@ from daq.runs.lab_readings import merge_readings, readings_attribute
 from ground.plain_words import quantity
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
-from piv.statistics.effective_samples import EffectiveSamples
+from piv.statistics.denoised_mean import DenoisedMean
+from piv.statistics.effective_samples import EffectiveSamples, mean_sigma
 from piv.statistics.merge_tree import merge_in_order
 from piv.statistics.moments import Moments
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status
@@ -140,6 +141,10 @@ def merge_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMean
         return CampaignMean(first, {names[0]: float("nan")})
     # Sums of moments are exact; what only bounds an error is averaged by squares, with the pairs of each place.
     moments = merge_in_order(enumerate(mean.moments for mean in means))
+    denoised, parts = None, [mean.denoised for mean in means if mean.denoised is not None]
+    if len(parts) == len(means):
+        unfiltered = merge_in_order(enumerate(part.unfiltered for part in parts))
+        denoised = DenoisedMean.of(unfiltered, moments, parts[0].filter)
     weights = np.stack([mean.count for mean in means]).astype(np.float64)
     samples = np.nansum([mean.effective.samples for mean in means], axis=0)
     ways = " and ".join(dict.fromkeys(mean.effective.way for mean in means))
@@ -155,6 +160,7 @@ def merge_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMean
         first,
         dt_s=float(np.average([mean.dt_s for mean in means], weights=used)),
         moments=moments,
+        denoised=denoised,
         effective=effective,
         used=int(used.sum()),
         usual_share=min(mean.usual_share for mean in means),
@@ -200,6 +206,7 @@ def _rms_in_sigma(run: MeanFlow, everything: Moments) -> float:
     """Rms of the difference of a run's mean from that of all, over its sigma, which shares the run's own part."""
     others = 1.0 - run.count / np.maximum(everything.count, 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        off = (run.mean_m_s - everything.mean_uv) / (run.sigma_m_s * np.sqrt(others)[..., None])
+        sigma = mean_sigma(run.moments, run.effective) * np.sqrt(others)[..., None]
+        off = (run.moments.mean_uv - everything.mean_uv) / sigma
     off = off[np.isfinite(off)]
     return float(np.sqrt(np.mean(np.square(off)))) if off.size else float("nan")

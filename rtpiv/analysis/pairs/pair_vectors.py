@@ -8,6 +8,10 @@ By pair and place:
     sigma_u, sigma_v              random standard uncertainty of u, v (correlation statistics)
     resolution                    standard uncertainty of u and of v by what windows do not resolve
     resolution_steady             the part of it that is the same in every pair of a steady flow
+    unfiltered_u, _v              u, v before the noise filter, where measured; with unfiltered_sigma, the random
+                                  standard uncertainty of a component, and unfiltered_steady, their
+                                  resolution_steady: means are made of these (`piv.statistics.denoised_mean`);
+                                  missing without a noise filter, and in files of older versions
     correlation, chc, flag        coefficient of the peak; 1 = measured; VectorFlag
 
 By pair: delta_t and sigma_delta_t [s] (NaN: not known, not measured), failed (1 = no vectors: `failures` says
@@ -49,8 +53,14 @@ from piv.statistics.derived import PlaneField, rates
 from rtpiv.analysis.pairs.slanted import Slanted
 from tracer.scene.scene import Scene
 
+UNFILTERED = (
+    "unfiltered_u",
+    "unfiltered_v",
+    "unfiltered_sigma",
+    "unfiltered_steady",
+)
 PER_TIME = (  # in m/s, or in mm
-    "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "map_sigma_u", "map_sigma_v",
+    *UNFILTERED, "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "map_sigma_u", "map_sigma_v",
     "slant_sigma_u", "slant_sigma_v", "total_sigma_u", "total_sigma_v",
 )  # fmt: skip
 UNITS = {
@@ -62,7 +72,7 @@ RATES = ("vorticity", "divergence", "shear", "swirling_strength")
 SLOPES = ("dxdz", "dydz")
 MEASURED = (
     "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "displacement_x", "displacement_y",
-    "correlation",
+    "correlation", *UNFILTERED,
 )  # fmt: skip
 Floats = NDArray[np.float64]
 
@@ -118,6 +128,9 @@ class SeriesField:
         Share of the light that does not move; NaN where not known.
     failure : str
         Why there are no vectors; "" if there are.
+    unfiltered_m_s : (ny, nx, 4) float64, optional
+        Vectors before the noise filter, random standard uncertainty of a component, and its part `steady_m_s`;
+        None where the file has none.
     """
 
     tag: str
@@ -133,6 +146,7 @@ class SeriesField:
     correlation: Floats
     static_share: float
     failure: str
+    unfiltered_m_s: Floats | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -204,6 +218,9 @@ def vectors_of_pairs(
     clock = [result.time_s for result in results if result.time_s is not None]
     has_clock = len(clock) == len(results)
     fields = [_by_place(result, windows.shape, grid.pitch_mm, timed) for result in results]
+    names = [
+        name for name in fields[0] if name not in UNFILTERED or any(_has_unfiltered(each) for each in results)
+    ]
     attributes: dict[str, Any] = {
         "delta_t": np.float64(np.mean([result.dt_s for result in results]) if timed else 0.0),
         "px_per_mm": grid.px_per_mm,
@@ -216,13 +233,18 @@ def vectors_of_pairs(
         x_mm=grid.origin_mm[0] + windows.x_px * grid.pitch_mm,
         y_mm=(grid.origin_mm[1] - windows.y_px * grid.pitch_mm)[::-1],
         times=np.array(clock if has_clock else _numbers(results), np.float64),
-        fields={name: np.stack([field[name] for field in fields]) for name in fields[0]} | dict(more or {}),
+        fields={name: np.stack([field[name] for field in fields]) for name in names} | dict(more or {}),
         by_time=_by_pair(results),
         units=_units(timed, str(about.get("length_unit", LENGTH))),
         attributes=attributes | dict(about),
         time_unit="s" if has_clock else "pair",
         by_place={} if slope is None else dict(zip(SLOPES, np.moveaxis(slope[::-1], -1, 0), strict=True)),
     )
+
+
+def _has_unfiltered(result: PairResult) -> bool:
+    field = result.found
+    return not isinstance(field, str) and field.unfiltered_px is not None
 
 
 def _units(timed: bool, length: str) -> dict[str, str]:
@@ -340,6 +362,7 @@ def read_chunk(content: bytes) -> ChunkContent:
             vectors.fields["correlation"][place].astype(np.float64),
             float(vectors.by_time["static_share"][place]),
             failures[place],
+            both(place, *UNFILTERED) if UNFILTERED[0] in vectors.fields else None,
         )
         for place, tag in enumerate(tags)
     )
@@ -384,13 +407,19 @@ def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float, timed
     if isinstance(field, str):
         masked, none = np.full(shape, VectorFlag.MASKED, np.int8), np.zeros(shape, np.int8)
         return dict.fromkeys(MEASURED, nothing) | {"chc": none, "flag": masked}
+    lengths = field.lengths
+    rough = lengths.get("unfiltered_px", np.full((*shape, 2), np.nan))
     values = {
         "u": field.u_px * scale,
         "v": -field.v_px * scale,
         "sigma_u": field.sigma_u_px * scale,
         "sigma_v": field.sigma_v_px * scale,
-        "resolution": nothing if field.resolution_px is None else field.resolution_px * scale,
-        "resolution_steady": nothing if field.steady_px is None else field.steady_px * scale,
+        "resolution": lengths.get("resolution_px", nothing) * scale,
+        "resolution_steady": lengths.get("steady_px", nothing) * scale,
+        "unfiltered_u": rough[..., 0] * scale,
+        "unfiltered_v": -rough[..., 1] * scale,
+        "unfiltered_sigma": lengths.get("unfiltered_sigma_px", nothing) * scale,
+        "unfiltered_steady": lengths.get("unfiltered_steady_px", nothing) * scale,
         "displacement_x": field.u_px,
         "displacement_y": -field.v_px,
         "correlation": field.correlation,

@@ -55,7 +55,7 @@ def history(chunks: Iterable[ChunkContent], mean: MeanFlow) -> History:
     """Go through the chunks of a series in order once more, with its mean known."""
     left_out = {tag for tag, _ in mean.left_out}
     moments = Moments.nothing((len(mean.y_mm), len(mean.x_mm)))
-    final, variance, count = mean.mean_m_s, mean.noisy_stresses_m2_s2[..., :2], mean.count
+    final, variance, count = mean.moments.mean_uv, mean.noisy_stresses_m2_s2[..., :2], mean.count
     with np.errstate(invalid="ignore"):
         moving = np.abs(mean.mean_px) > MOVING_PX
     fractions, rows, used = np.zeros(BINS, np.int64), [], 0

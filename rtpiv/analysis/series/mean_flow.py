@@ -24,10 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
+from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField, VectorFlag, could_be_measured
 from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import Vectors
+from piv.statistics.denoised_components import NoiseFilter
+from piv.statistics.denoised_mean import DenoisedMean
 from piv.statistics.derived import PlaneField
 from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree
@@ -60,7 +63,7 @@ class MeanFlow:
     dt_s : float
         Mean time between the frames of a pair.
     moments : Moments
-        Of the vectors [m/s].
+        Of the vectors [m/s], as pairs show them.
     effective : EffectiveSamples
         Effective number of independent vectors.
     used : int
@@ -85,6 +88,9 @@ class MeanFlow:
         The part of `map_sigma_m_s` by errors that cameras of a joint fit have in common, draw by draw.
     no_map_sigma : str
         Why these three are None.
+    denoised : DenoisedMean or None
+        Mean of unfiltered vectors after the noise filter, which is the mean then; None where pairs were evaluated
+        without that filter, or by a version that kept no unfiltered vectors: then it is that of `moments`.
     too_few : (ny, nx) bool or None
         Places without a mean: fewer than half of the pairs that looked there have a vector, or none is beside it.
     slope : (ny, nx, 2) float64 or None
@@ -120,6 +126,7 @@ class MeanFlow:
     map_sigma_position_mm: Floats | None = None
     map_common_m_s: Floats | None = None
     no_map_sigma: str = ""
+    denoised: DenoisedMean | None = None
     too_few: NDArray[np.bool_] | None = None
     slope: Floats | None = None
     out_of_plane: OutOfPlane = NOTHING_TOLD
@@ -199,7 +206,7 @@ class MeanFlow:
     @property
     def mean_m_s(self) -> Floats:
         """Mean velocity (ny, nx, 2); NaN where there is none."""
-        return self.moments.mean_uv
+        return self.moments.mean_uv if self.denoised is None else self.denoised.mean
 
     @property
     def mean_px(self) -> Floats:
@@ -214,6 +221,8 @@ class MeanFlow:
     @property
     def sigma_m_s(self) -> Floats:
         """Random standard uncertainty of the mean (ny, nx, 2)."""
+        if self.denoised is not None:
+            return self.denoised.sigma(self.moments, self.effective)
         return mean_sigma(self.moments, self.effective)
 
     @property
@@ -276,8 +285,11 @@ class MeanFlow:
         return stress_sigma(self.moments, self.effective)
 
 
-def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
+def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = None) -> MeanFlow:
     """Statistics of a series from its chunks in order; they are gone through twice, so give a list or the like.
+
+    `settings` are those of its pairs, whose noise filter is applied to the mean of their unfiltered vectors.
+    Without them, or in chunks without such vectors, the mean is that of the vectors as pairs show them.
 
     Raises
     ------
@@ -288,6 +300,9 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     is_timed = not np.isnan(dt_s)
     dt_s = dt_s if is_timed else UNTIMED_DT_S
     moments, blocks, unresolved = MergeTree[Moments](), MergeTree[Blocking](), MergeTree[Unresolved]()
+    # Of vectors before the noise filter:
+    rough, rough_unresolved = MergeTree[Moments](), MergeTree[Unresolved]()
+    has_rough = settings is not None and settings.denoise > 0.0
     kept: list[NDArray[np.float32]] = []
     left_out: list[tuple[str, str]] = []
     used = number = 0
@@ -306,13 +321,21 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
                 moments.add(number, Moments.nothing(field.flags.shape))
                 blocks.add(number, Blocking.nothing(field.flags.shape))
                 unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
+                rough.add(number, Moments.nothing(field.flags.shape))
+                rough_unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
             else:
                 used += 1
                 seen = could_be_measured(field.flags).astype(np.int64)
                 looked = seen if looked is None else looked + seen
                 moments.add(number, Moments.of(field.velocity_m_s, field.valid, field.sigma_m_s))
                 blocks.add(number, Blocking.of(field.velocity_m_s, field.valid))
-                unresolved.add(number, Unresolved.of(field.velocity_m_s, field.valid, field.steady_m_s, apart))
+                part = Unresolved.of(field.velocity_m_s, field.valid, field.steady_m_s, apart)
+                unresolved.add(number, part)
+                has_rough = has_rough and field.unfiltered_m_s is not None
+                if has_rough and field.unfiltered_m_s is not None:
+                    uv, sigma, steady = np.split(field.unfiltered_m_s, (2, 3), axis=-1)
+                    rough.add(number, Moments.of(uv, field.valid, np.repeat(sigma, 2, axis=-1)))
+                    rough_unresolved.add(number, part.with_resolution(steady[..., 0]))
             if keeps:
                 good = field.valid[..., None] & (not why)
                 kept.append(np.where(good, field.velocity_m_s, np.nan).astype(np.float32))
@@ -322,14 +345,19 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     looked = np.zeros(total.count.shape, np.int64) if looked is None else looked
     often = is_measured_often(total, looked)
     too_few, total = (total.count > 0) & ~often, total.only(often)
-    shared = missing.share_of_mean(total.mean_uv)
-    lost = selection_sigma(total, looked)
-    unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(shared), lost), shared)
+    shared, lost = missing.share_of_mean(total.mean_uv), selection_sigma(total, looked)
+    denoised, of_mean = None, shared
+    if settings is not None and has_rough:
+        how = NoiseFilter.of(settings, first.step_px, settings.denoise)
+        denoised = DenoisedMean.of(rough.result().only(often), total, how)
+        of_mean = rough_unresolved.result().share_of_mean(denoised.mean)
+        lost = np.hypot(lost, denoised.taken)
+    unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(of_mean), lost), of_mean)
     return MeanFlow(
         first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, total,
         _of_series(kept) if kept else blocks.result().effective(), used, usual,
         unsure, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
-        too_few=too_few, is_timed=is_timed,
+        denoised=denoised, too_few=too_few, is_timed=is_timed,
     )  # fmt: skip
 
 

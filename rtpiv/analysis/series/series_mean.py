@@ -80,7 +80,8 @@ def mean_of_series(view: SeriesView) -> MeanFlow:
     DiskError
         A map cannot be kept.
     """
-    mean, sigma, found_map = mean_flow(Chunks.of(view.folder)), view.sigma, view.correction.corrector.map
+    mean, sigma = mean_flow(Chunks.of(view.folder), view.settings), view.sigma
+    found_map = view.correction.corrector.map
     slope = viewing_slopes(found_map, view.scene, view.windows, view.settings.window_sigma)
     mean = replace(mean, length=length_unit(view.scene))
     if slope is not None:

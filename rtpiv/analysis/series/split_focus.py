@@ -22,6 +22,7 @@ from correction.evaluate.regions import Region, regions_of
 from daq.runs.lab_readings import merge_readings, readings_attribute
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
+from piv.statistics.denoised_mean import DenoisedMean
 from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.moments import Moments
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, too_few_of
@@ -117,12 +118,16 @@ def join_means(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) -> 
     # On a rim both are blurred: the less unsure run counts there.
     behind = (region == Region.GLASS) | ((region == Region.RIM) & (unsure[1] < unsure[0]))
     source = np.where(behind & has_second, BEHIND, np.where(~behind & has_first, BESIDE, 0)).astype(np.uint8)
-    arrays = {
-        name: np.where(_fit(source == BEHIND, there), there, here)
-        for (name, here), there in zip(
-            first.moments.to_arrays().items(), second.moments.to_arrays().values(), strict=True
+    moments, denoised = _moments_by_source(source, first.moments, second.moments), None
+    if first.denoised is not None and second.denoised is not None:
+        denoised = DenoisedMean(
+            _moments_by_source(source, first.denoised.unfiltered, second.denoised.unfiltered),
+            first.denoised.filter,
+            *(
+                _by_source(source, getattr(first.denoised, name), getattr(second.denoised, name))
+                for name in ("mean", "noise", "taken")
+            ),
         )
-    }
     samples = np.where((source == BEHIND)[..., None], second.effective.samples, first.effective.samples)
     both = first.effective, second.effective
     way = " and ".join(dict.fromkeys(each.way for each in both))
@@ -131,7 +136,8 @@ def join_means(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) -> 
     left_out += [(f"behind: {tag}", why) for tag, why in second.left_out]
     mean = replace(
         first,
-        moments=Moments.from_arrays(arrays).only(source != 0),
+        moments=moments,
+        denoised=denoised,
         effective=effective,
         used=first.used + second.used,
         usual_share=min(first.usual_share, second.usual_share),
@@ -148,6 +154,16 @@ def join_means(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) -> 
         else _by_source(source, first.slope, second.slope),
     )
     return JoinedMean(mean, source, _rms_in_sigma(first, second))
+
+
+def _moments_by_source(source: NDArray[np.uint8], beside: Moments, behind: Moments) -> Moments:
+    """Moments from the run that gave the mean of a place."""
+    there = behind.to_arrays()
+    arrays = {
+        name: np.where(_fit(source == BEHIND, here), there[name], here)
+        for name, here in beside.to_arrays().items()
+    }
+    return Moments.from_arrays(arrays).only(source != 0)
 
 
 def _fit(mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 import os
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,22 @@ def test_python_has_the_default_of_the_command(pair):
         np.testing.assert_array_equal(found.u_px, same.u_px)
         np.testing.assert_array_equal(found.sigma_u_px, same.sigma_u_px)
         assert found.u_px.shape != fixed.u_px.shape
+
+
+@pytest.mark.parametrize("settings", [FOUND_WINDOWS, PivSettings()])
+def test_unfiltered_vectors_are_those_of_an_evaluation_without_the_noise_filter(pair, settings):
+    found, rough = (evaluate_pair(*pair, settings=each) for each in (settings, replace(settings, denoise=0.0)))
+    both = found.valid & rough.valid
+    assert both.mean() > 0.9
+    for axis, along in enumerate("uv"):
+        np.testing.assert_array_equal(found.unfiltered_px[both][:, axis], getattr(rough, f"{along}_px")[both])
+    assert (found.unfiltered_px[both][:, 0] != found.u_px[both]).any()
+    noise = np.hypot(rough.sigma_u_px, rough.sigma_v_px)[both] / np.sqrt(2.0)
+    np.testing.assert_allclose(found.unfiltered_sigma_px[both], noise, rtol=0.02)
+    assert (found.unfiltered_steady_px[both] <= found.steady_px[both]).all()
+    assert np.isnan(found.unfiltered_px[~found.valid]).all()
+    assert rough.unfiltered_px is None
+    assert evaluate_pair(*pair, settings=replace(settings, uncertainty=False)).unfiltered_px is None
 
 
 def blas_threads():

@@ -99,6 +99,24 @@ def test_what_is_written_is_read(tmp_path, field):
     assert "u [m s-1]" in vectors._repr_html_()
 
 
+def test_vectors_before_the_noise_filter_come_back_with_v_up(field):
+    rough = np.stack((field.u_px + 0.1, field.v_px - 0.2), axis=-1)
+    unfiltered = {"unfiltered_sigma_px": 0.03 * field.u_px, "unfiltered_steady_px": 0.04 * field.u_px}
+    known = replace(field, unfiltered_px=rough, **unfiltered)
+    pairs = [PairResult("f_000000", known, 0.25), PairResult("f_000002", "a flash failed", 0.25)]
+    vectors = vectors_of_pairs(pairs, WINDOWS, GRID, {})
+    assert vectors.units["unfiltered_u"] == vectors.units["unfiltered_sigma"] == "m s-1"
+    first, failed = read_chunk(vectors_netcdf(vectors)).fields
+    u = field.u_px[::-1]
+    expected = 4e-4 * np.stack((u + 0.1, -(2.0 * u - 0.2), 0.03 * u, 0.04 * u), axis=-1)
+    np.testing.assert_allclose(first.unfiltered_m_s, expected, rtol=1e-6)
+    assert np.isnan(failed.unfiltered_m_s).all()
+    # Without the filter, as in files of older versions, there are none.
+    old = vectors_of_pairs([PairResult("f_000000", field, 0.25)], WINDOWS, GRID, {})
+    assert not any(name.startswith("unfiltered") for name in old.fields)
+    assert read_chunk(vectors_netcdf(old)).fields[0].unfiltered_m_s is None
+
+
 def test_the_map_s_sigmas_stand_beside_the_vectors(tmp_path, field):
     place, way = (scale * np.ones((3, 4, 2)) * (1.0, 2.0) for scale in (0.1, 0.01))
     place[0, 0] = np.nan

@@ -88,10 +88,15 @@ def test_statistics_are_of_all_runs_and_say_what_was_left_out(whole):
     means = []
     for name in ("one", "two"):
         with netcdf_file(whole.series(name).path / "mean.nc", mmap=False) as file:
-            means.append({n: np.array(file.variables[n][:]) for n in ("u", "n", "n_effective_u")})
-    both = sum(mean["n"] * np.nan_to_num(mean["u"]) for mean in means) / found["n"]
-    assert found["u"][found["n"] > 2] == pytest.approx(both[found["n"] > 2], rel=3e-7)  # float32
+            means.append({n: np.array(file.variables[n][:]) for n in ("u", "n", "noise_uu", "n_effective_u")})
+    both, noise = (
+        sum(mean["n"] * np.nan_to_num(mean[each]) for mean in means) / found["n"] for each in ("u", "noise_uu")
+    )
     several = found["n"] > 8
+    assert found["noise_uu"][several] == pytest.approx(noise[several], rel=3e-7)  # float32
+    # The mean of all is filtered anew, by less noise than that of each run.
+    off = (found["u"] - both)[several]
+    assert 0.0 < np.sqrt(np.mean(off**2)) < np.sqrt(np.mean(found["sigma_u"][several] ** 2))
     effective = sum(np.nan_to_num(mean["n_effective_u"]) for mean in means)
     assert found["n_effective_u"][several] == pytest.approx(effective[several])
 

@@ -30,6 +30,7 @@ from rtpiv.analysis.series.workers import worker_processes
 from tests.rtpiv.analysis.series.small_series import (
     DT_US,
     PX_PER_MM,
+    SETTINGS,
     content_of,
     flow_run,
     given_of,
@@ -106,6 +107,32 @@ def test_bad_pairs_are_named_left_out_and_counted(made, run):
     (warning,) = replace(mean, usual_share=0.2).warnings
     assert "only 20 % of the vectors of a usual pair" in warning
     assert np.nanmedian(mean.mean_px, axis=(0, 1)) == pytest.approx((SHIFT_PX[0], -SHIFT_PX[1]), abs=0.02)
+
+
+def test_the_mean_is_that_of_unfiltered_vectors_where_files_have_them(made):
+    settings, chunks = SETTINGS, list(Chunks.of(made.series.path))
+    mean, plain = mean_flow(chunks, settings), mean_flow(chunks)
+    fields = [field for chunk in chunks for field in chunk.fields if field.tag not in dict(mean.left_out)]
+    good = np.stack([field.valid for field in fields])[..., None]
+    vectors = np.where(good, np.stack([field.unfiltered_m_s[..., :2] for field in fields]), 0.0)
+    known = mean.count > 0
+    rough = (vectors.sum(axis=0) / np.maximum(good.sum(axis=0), 1))[known]
+    np.testing.assert_allclose(mean.denoised.unfiltered.mean_uv[known], rough, rtol=1e-12)
+    # A uniform flow: the filter takes noise, and no more than noise.
+    off = [np.std(part, axis=0) for part in (mean.mean_m_s[known], rough)]
+    assert (off[0] < 0.8 * off[1]).all()
+    assert (mean.sigma_m_s[known] >= plain.sigma_m_s[known]).all()
+    for name in ("stresses_m2_s2", "noisy_stresses_m2_s2"):
+        np.testing.assert_array_equal(getattr(mean, name), getattr(plain, name))
+    # Of files without them, or where no filter was asked for, it is that of the vectors of pairs, bit for bit.
+    old = [
+        replace(chunk, fields=tuple(replace(field, unfiltered_m_s=None) for field in chunk.fields))
+        for chunk in chunks
+    ]
+    for same in (mean_flow(old, settings), mean_flow(chunks, replace(settings, denoise=0.0))):
+        assert same.denoised is None
+        for name in ("mean_m_s", "sigma_m_s", "resolution_m_s", "total_sigma_m_s"):
+            assert getattr(same, name).tobytes() == getattr(plain, name).tobytes()
 
 
 def test_a_pair_between_damaged_ones_has_no_background_and_is_a_row(tmp_path):
