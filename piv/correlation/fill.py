@@ -64,7 +64,8 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     """
     weight = seen.astype(np.float32)
     missing = ~seen
-    holes = np.argwhere(missing & ~_region(missing) & (blur_frame(weight, AROUND_PX) > HOLE))
+    # NumPy gives Fortran order but for a single row, and the kernel would be compiled for both orders
+    holes = np.ascontiguousarray(np.argwhere(missing & ~_region(missing) & (blur_frame(weight, AROUND_PX) > HOLE)))
     filled = np.empty((len(holes), 3))
     alike = np.exp(-np.square(np.arange(8.0)) / (4.0 * texture.spread_px2))
 

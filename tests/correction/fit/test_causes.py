@@ -109,8 +109,7 @@ def test_a_board_within_a_tube_of_water_is_as_large_as_the_tube_shows_it(tmp_pat
 
 
 def test_a_distance_far_from_what_was_known_is_reported(tank):
-    nominal, priors = tank
-    nominal = replace(nominal, bodies=())
+    nominal, priors = replace(tank[0], bodies=()), tank[1]
     true = replace(nominal.camera, position_mm=(1.0, -1.3, 711.0))  # 3.7 sigmas
     image = render(replace(nominal, camera=true), Print(15.0, 6.0), Sensor(), samples=3, seed=1)
     said = []
@@ -120,8 +119,7 @@ def test_a_distance_far_from_what_was_known_is_reported(tank):
 
 def test_few_usable_dots_are_refused_in_numbers(tank, monkeypatch, recwarn):
     """Dots of which hardly a picture is whole; it ended in sentences with NaN, after warnings of NumPy."""
-    nominal, priors = tank
-    nominal = replace(nominal, bodies=())
+    nominal, priors = replace(tank[0], bodies=()), tank[1]
     board = Chessboard(15.0, 9.0, discs=LARGE_DOTS, dots=Dots(6.0))
     image = render(nominal, DotGrid(15.0, 9.0, discs=LARGE_DOTS, dots=Dots(6.0)), Sensor(), samples=3, seed=1)
     whole = camera_stage.centre_dots

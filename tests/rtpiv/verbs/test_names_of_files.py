@@ -12,6 +12,7 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+import pytest
 import tifffile
 from scipy.io import loadmat
 
@@ -94,10 +95,10 @@ def test_series_mean_page_and_exports_of_any_name(tmp_path):
     assert json.loads(series.read_text("utf-8"))["run"] == "lat\ufffdin \ufffd"
 
 
+@pytest.mark.slow  # the ASCII locale above holds what this one does, and more
 def test_names_in_another_locale(tmp_path):
-    place, out = np.arange(2.0), tmp_path / f"{NAMES[1]} {NAMES[2]}"
-    fields = {name: np.ones((1, 2, 2)) for name in "uv"}
-    write_vectors(tmp_path / f"{NAMES[0]}.nc", Vectors(place, place, place[:1], fields))
+    place, out, ones = np.arange(2.0), tmp_path / f"{NAMES[1]} {NAMES[2]}", dict.fromkeys("uv", np.ones((1, 2, 2)))
+    write_vectors(tmp_path / f"{NAMES[0]}.nc", Vectors(place, place, place[:1], ones))
     run(*(["export", tmp_path / f"{NAMES[0]}.nc", "--to", to, "-o", out] for to in EXPORTS), **LATIN)
     assert {file.stem for file in out.glob("[!.]*")} == {NAMES[0]}
 
