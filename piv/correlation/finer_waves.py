@@ -30,7 +30,8 @@ import scipy
 from numpy.typing import NDArray
 
 from piv.correlation.refine import window_weights
-from piv.correlation.response import Transfer, gain, noise_growth
+from piv.correlation.response import Transfer, gain, noise_growth, smoothings_of
+from piv.correlation.settings import PivSettings
 
 EXPONENTS = np.linspace(0.5, 8.0, 31)
 LONGEST, SHORTEST = 20.0, 0.25  # waves that are added up, in windows
@@ -50,6 +51,12 @@ class Evaluated(NamedTuple):
     window_sigma: float
     between: Sequence[Transfer]
 
+    @classmethod
+    def usual(cls, settings: PivSettings, step_px: int) -> "Evaluated":
+        """Evaluation by the usual windows of these settings, `step_px` apart."""
+        side = settings.windows_px[-1]
+        return cls(side, step_px, settings.window_sigma, smoothings_of(settings, side, step_px))
+
     @property
     def half_window_steps(self) -> int:
         """Nodes that are half a window apart."""
@@ -59,8 +66,8 @@ class Evaluated(NamedTuple):
 class Tail(NamedTuple):
     """Effect on vectors of a spectrum that goes on, over its exponents (`EXPONENTS`).
 
-    `steepness` is D6(h)/D4(2 h), `missed` M/D6(h); `noise` is D6(h) and D4(2 h) of the noise of vectors, as
-    factors of that of one correlation.
+    `steepness` is D6(h)/D4(2 h), or the ratio of other differences, `missed` M/D6(h); `noise` is D6(h) and D4(2 h)
+    of the noise of vectors, as factors of that of one correlation.
     """
 
     steepness: Floats
@@ -80,11 +87,9 @@ def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
     how : Evaluated
         By which windows.
     """
-    tail, noise = tail_of(how), np.square(one_px).mean(axis=-1)
-    sixth, fourth = (
-        differences(vectors, 6, how.half_window_steps),
-        differences(vectors, 4, 2 * how.half_window_steps),
-    )
+    orders = (6, how.half_window_steps), (4, 2 * how.half_window_steps)
+    tail, noise = tail_of(how, orders), np.square(one_px).mean(axis=-1)
+    sixth, fourth = (differences(vectors, order, apart) for order, apart in orders)
     by_chance = [np.square(growth) * noise for growth in tail.noise]
     reach = AROUND * how.side_px / how.step_px
     flow, wider = (
@@ -98,12 +103,12 @@ def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
     )
     left = np.maximum(here - chance, 0.0)
     around = scipy.ndimage.gaussian_filter(by_chance[0], reach, mode="nearest")
-    share = _clear(left, chance) * _clear(flow, around)
+    share = clear_share(left, chance) * clear_share(flow, around)
     found: Floats = np.exp(np.interp(exponent, EXPONENTS, np.log(tail.missed))) * np.sqrt(share * left)
     return found
 
 
-def _clear(flow: Floats, noise: Floats) -> Floats:
+def clear_share(flow: Floats, noise: Floats) -> Floats:
     """Share (ny, nx) of the square of a flow that counts beside noise of that square."""
     share: Floats = np.square(flow) / np.maximum(np.square(flow) + np.square(noise), 1e-30)
     return share
@@ -130,8 +135,8 @@ def differences(vectors: Floats, order: int, apart: int) -> Floats:
     return square / max(axes, 1)
 
 
-def tail_of(how: Evaluated) -> Tail:
-    """Tabulate the effect of a spectrum without an end on differences of vectors."""
+def tail_of(how: Evaluated, orders: Sequence[tuple[int, int]]) -> Tail:
+    """Tabulate the effect of a spectrum without an end on two differences of vectors: order, and nodes apart."""
     longest, shortest = (np.log(2.0 * np.pi / (share * how.side_px)) for share in (LONGEST, SHORTEST))
     number = np.exp(np.linspace(longest, shortest, WAVES))
     angle = (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * np.pi
@@ -139,7 +144,6 @@ def tail_of(how: Evaluated) -> Tail:
     weights = window_weights(how.side_px, how.window_sigma)
     shown = gain(weights, how.step_px, how.between, wave)
     energy = number ** -EXPONENTS[:, None]
-    orders = (6, how.half_window_steps), (4, 2 * how.half_window_steps)
     sixth, fourth = (
         energy @ np.square(shown * _transfer(order, apart)(how.step_px * wave)).mean(axis=-1)
         for order, apart in orders

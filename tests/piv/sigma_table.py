@@ -13,6 +13,7 @@ from fnmatch import fnmatch
 
 import numpy as np
 
+from piv.correlation.finer_waves import Evaluated
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.prepare import prepare_pair
 from piv.correlation.settings import FOUND_WINDOWS
@@ -23,6 +24,7 @@ from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.ensemble_field import ensemble_field, next_sweep
 from piv.statistics.moments import Moments
+from piv.statistics.short_waves import ShortWaves
 from piv.statistics.sweep import sweep_with
 from piv.statistics.unresolved import Unresolved, selection_sigma
 from tests.piv.conftest import draw
@@ -90,7 +92,7 @@ def series(flow, seed, diameter_px, image):
 
 def mean_of(pairs):
     """The last field of pairs, moments of their vectors, their mean, and its sigma."""
-    moments = before = looked = missing = None
+    moments = before = looked = missing = short = None
     for pair in pairs:
         field = evaluate_pair(*pair, threads=1)
         vectors = np.stack((field.u_px, field.v_px), -1)
@@ -101,6 +103,10 @@ def mean_of(pairs):
             field.unfiltered_px, field.valid, np.repeat(field.unfiltered_sigma_px[..., None], 2, axis=-1)
         )
         part = Unresolved.of(vectors, field.valid, field.unfiltered_steady_px, apart)
+        usual = field.side_px == field.window_px
+        how = Evaluated.usual(FOUND_WINDOWS, field.step_px)
+        waves = ShortWaves.of(field.unfiltered_px, field.valid, field.resolution_px, usual, how)
+        short = waves if short is None else short.merge_with(waves)
         before = rough if before is None else before.merge_with(rough)
         moments = one if moments is None else moments.merge_with(one)
         missing = part if missing is None else missing.merge_with(part)
@@ -109,7 +115,8 @@ def mean_of(pairs):
     mean = DenoisedMean.of(before, moments, how)
     independent = EffectiveSamples(np.maximum(moments.count, 1)[..., None], "", converged=True)
     lost = np.hypot(np.nan_to_num(selection_sigma(moments, looked)), mean.taken)
-    unsure = np.hypot(missing.share_of_mean(mean.mean), lost)
+    unresolved = np.maximum(missing.share_of_mean(mean.mean), short.short_wave_sigma(before.mean_uv))
+    unsure = np.hypot(unresolved, lost)
     return field, moments, mean.mean, np.hypot(mean.sigma(moments, independent), unsure[..., None])
 
 

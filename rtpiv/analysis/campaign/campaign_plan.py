@@ -54,7 +54,7 @@ from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.scene.scene_file import load_scene
 
 S_PER_MPX = 0.5  # of one core for a pair: 2 s at 4 million pixels
-VECTOR_BYTES = 54  # of a chunk's file: 13 float32 and 2 int8 of each pair
+VECTOR_BYTES = 55  # of a chunk's file: 13 float32 and 3 int8 of each pair
 PLACE_BYTES = 8  # the same for all its pairs: 2 float32
 PIXEL_BYTES = 2
 LONG_BYTES = 10_000_000  # of journals: below, processes take longer to start than to read

@@ -12,6 +12,7 @@ By pair and place:
                                   standard uncertainty of a component, and unfiltered_steady, their
                                   resolution_steady: means are made of these (`piv.statistics.denoised_mean`);
                                   missing without a noise filter, and in files of older versions
+    usual_window                  with these: 1 where the vector comes from a window of `window_px`, 0 of a smaller
     correlation, chc, flag        coefficient of the peak; 1 = measured; VectorFlag
 
 By pair: delta_t and sigma_delta_t [s] (NaN: not known, not measured), failed (1 = no vectors: `failures` says
@@ -59,6 +60,7 @@ UNFILTERED = (
     "unfiltered_sigma",
     "unfiltered_steady",
 )
+USUAL = "usual_window"
 PER_TIME = (  # in m/s, or in mm
     *UNFILTERED, "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "map_sigma_u", "map_sigma_v",
     "slant_sigma_u", "slant_sigma_v", "total_sigma_u", "total_sigma_v",
@@ -131,6 +133,8 @@ class SeriesField:
     unfiltered_m_s : (ny, nx, 4) float64, optional
         Vectors before the noise filter, random standard uncertainty of a component, and its part `steady_m_s`;
         None where the file has none.
+    is_usual : (ny, nx) bool, optional
+        With these: vectors from windows of usual size.
     """
 
     tag: str
@@ -147,6 +151,7 @@ class SeriesField:
     static_share: float
     failure: str
     unfiltered_m_s: Floats | None = None
+    is_usual: NDArray[np.bool_] | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -219,7 +224,9 @@ def vectors_of_pairs(
     has_clock = len(clock) == len(results)
     fields = [_by_place(result, windows.shape, grid.pitch_mm, timed) for result in results]
     names = [
-        name for name in fields[0] if name not in UNFILTERED or any(_has_unfiltered(each) for each in results)
+        name
+        for name in fields[0]
+        if name not in (*UNFILTERED, USUAL) or any(_has_unfiltered(each) for each in results)
     ]
     attributes: dict[str, Any] = {
         "delta_t": np.float64(np.mean([result.dt_s for result in results]) if timed else 0.0),
@@ -347,6 +354,7 @@ def read_chunk(content: bytes) -> ChunkContent:
         "resolution", np.full_like(vectors.fields["u"], np.nan)
     )  # before it was stored
     steady = vectors.fields.get("resolution_steady", unresolved)
+    has_unfiltered = all(name in vectors.fields for name in (*UNFILTERED, USUAL))
     fields = tuple(
         SeriesField(
             tag,
@@ -362,7 +370,8 @@ def read_chunk(content: bytes) -> ChunkContent:
             vectors.fields["correlation"][place].astype(np.float64),
             float(vectors.by_time["static_share"][place]),
             failures[place],
-            both(place, *UNFILTERED) if UNFILTERED[0] in vectors.fields else None,
+            both(place, *UNFILTERED) if has_unfiltered else None,
+            vectors.fields[USUAL][place] == 1 if has_unfiltered else None,
         )
         for place, tag in enumerate(tags)
     )
@@ -406,7 +415,8 @@ def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float, timed
     nothing = np.full(shape, np.nan)
     if isinstance(field, str):
         masked, none = np.full(shape, VectorFlag.MASKED, np.int8), np.zeros(shape, np.int8)
-        return dict.fromkeys(MEASURED, nothing) | {"chc": none, "flag": masked}
+        return dict.fromkeys(MEASURED, nothing) | {"chc": none, "flag": masked, USUAL: none}
+    usual = np.ones(shape, np.bool_) if field.side_px is None else field.side_px == field.window_px
     lengths = field.lengths
     rough = lengths.get("unfiltered_px", np.full((*shape, 2), np.nan))
     values = {
@@ -420,6 +430,7 @@ def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float, timed
         "unfiltered_v": -rough[..., 1] * scale,
         "unfiltered_sigma": lengths.get("unfiltered_sigma_px", nothing) * scale,
         "unfiltered_steady": lengths.get("unfiltered_steady_px", nothing) * scale,
+        USUAL: usual.astype(np.int8),
         "displacement_x": field.u_px,
         "displacement_y": -field.v_px,
         "correlation": field.correlation,

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
+from piv.correlation.finer_waves import Evaluated
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField, VectorFlag, could_be_measured
 from piv.correlation.windows import WindowGrid
@@ -36,6 +37,7 @@ from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_se
 from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
 from piv.statistics.out_of_plane import NOTHING_TOLD, OutOfPlane, SlantedField, SlantedStresses
+from piv.statistics.short_waves import ShortWaves
 from piv.statistics.unresolved import Unresolved, is_measured_often, selection_sigma
 from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
 
@@ -301,7 +303,8 @@ def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = Non
     dt_s = dt_s if is_timed else UNTIMED_DT_S
     moments, blocks, unresolved = MergeTree[Moments](), MergeTree[Blocking](), MergeTree[Unresolved]()
     # Of vectors before the noise filter:
-    rough, rough_unresolved = MergeTree[Moments](), MergeTree[Unresolved]()
+    rough, rough_missing = MergeTree[Moments](), MergeTree[Unresolved]()
+    short = MergeTree[ShortWaves]()
     has_rough = settings is not None and settings.denoise > 0.0
     kept: list[NDArray[np.float32]] = []
     left_out: list[tuple[str, str]] = []
@@ -313,6 +316,7 @@ def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = Non
         if not (np.array_equal(chunk.x_mm, first.x_mm) and np.array_equal(chunk.y_mm, first.y_mm)):
             raise SeriesError("chunks of a series lie on different grids; evaluate the run again")
         apart = max(1, round(0.5 * chunk.window_px / chunk.step_px))
+        how = Evaluated.usual(settings or PivSettings(), chunk.step_px)
         keeps = 8 * pairs * len(chunk.x_mm) * len(chunk.y_mm) <= KEPT_BYTES
         for field in chunk.fields:
             why = exclusion_reason(field, usual)
@@ -322,7 +326,8 @@ def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = Non
                 blocks.add(number, Blocking.nothing(field.flags.shape))
                 unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
                 rough.add(number, Moments.nothing(field.flags.shape))
-                rough_unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
+                rough_missing.add(number, Unresolved.nothing(field.flags.shape, apart))
+                short.add(number, ShortWaves.nothing(field.flags.shape, how))
             else:
                 used += 1
                 seen = could_be_measured(field.flags).astype(np.int64)
@@ -332,10 +337,12 @@ def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = Non
                 part = Unresolved.of(field.velocity_m_s, field.valid, field.steady_m_s, apart)
                 unresolved.add(number, part)
                 has_rough = has_rough and field.unfiltered_m_s is not None
-                if has_rough and field.unfiltered_m_s is not None:
+                if has_rough and field.unfiltered_m_s is not None and field.is_usual is not None:
                     uv, sigma, steady = np.split(field.unfiltered_m_s, (2, 3), axis=-1)
                     rough.add(number, Moments.of(uv, field.valid, np.repeat(sigma, 2, axis=-1)))
-                    rough_unresolved.add(number, part.with_resolution(steady[..., 0]))
+                    rough_missing.add(number, part.with_resolution(steady[..., 0]))
+                    waves = ShortWaves.of(uv, field.valid, field.resolution_m_s, field.is_usual, how)
+                    short.add(number, waves)
             if keeps:
                 good = field.valid[..., None] & (not why)
                 kept.append(np.where(good, field.velocity_m_s, np.nan).astype(np.float32))
@@ -348,9 +355,10 @@ def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = Non
     shared, lost = missing.share_of_mean(total.mean_uv), selection_sigma(total, looked)
     denoised, of_mean = None, shared
     if settings is not None and has_rough:
-        how = NoiseFilter.of(settings, first.step_px, settings.denoise)
-        denoised = DenoisedMean.of(rough.result().only(often), total, how)
-        of_mean = rough_unresolved.result().share_of_mean(denoised.mean)
+        once = NoiseFilter.of(settings, first.step_px, settings.denoise)
+        denoised = DenoisedMean.of(rough.result().only(often), total, once)
+        of_mean = rough_missing.result().share_of_mean(denoised.mean)
+        of_mean = np.maximum(of_mean, short.result().short_wave_sigma(denoised.unfiltered.mean_uv))
         lost = np.hypot(lost, denoised.taken)
     unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(of_mean), lost), of_mean)
     return MeanFlow(

@@ -102,7 +102,8 @@ def test_what_is_written_is_read(tmp_path, field):
 def test_vectors_before_the_noise_filter_come_back_with_v_up(field):
     rough = np.stack((field.u_px + 0.1, field.v_px - 0.2), axis=-1)
     unfiltered = {"unfiltered_sigma_px": 0.03 * field.u_px, "unfiltered_steady_px": 0.04 * field.u_px}
-    known = replace(field, unfiltered_px=rough, **unfiltered)
+    sides = np.where(np.arange(4) < 2, 32, 16) * np.ones((3, 1), np.int64)
+    known = replace(field, unfiltered_px=rough, side_px=sides, **unfiltered)
     pairs = [PairResult("f_000000", known, 0.25), PairResult("f_000002", "a flash failed", 0.25)]
     vectors = vectors_of_pairs(pairs, WINDOWS, GRID, {})
     assert vectors.units["unfiltered_u"] == vectors.units["unfiltered_sigma"] == "m s-1"
@@ -110,11 +111,13 @@ def test_vectors_before_the_noise_filter_come_back_with_v_up(field):
     u = field.u_px[::-1]
     expected = 4e-4 * np.stack((u + 0.1, -(2.0 * u - 0.2), 0.03 * u, 0.04 * u), axis=-1)
     np.testing.assert_allclose(first.unfiltered_m_s, expected, rtol=1e-6)
+    assert first.is_usual.tolist() == [[True, True, False, False]] * 3
     assert np.isnan(failed.unfiltered_m_s).all()
     # Without the filter, as in files of older versions, there are none.
     old = vectors_of_pairs([PairResult("f_000000", field, 0.25)], WINDOWS, GRID, {})
-    assert not any(name.startswith("unfiltered") for name in old.fields)
-    assert read_chunk(vectors_netcdf(old)).fields[0].unfiltered_m_s is None
+    assert not any(name.startswith("unfiltered") or name == "usual_window" for name in old.fields)
+    same = read_chunk(vectors_netcdf(old)).fields[0]
+    assert (same.unfiltered_m_s, same.is_usual) == (None, None)
 
 
 def test_the_map_s_sigmas_stand_beside_the_vectors(tmp_path, field):

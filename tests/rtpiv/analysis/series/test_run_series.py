@@ -126,7 +126,7 @@ def test_the_mean_is_that_of_unfiltered_vectors_where_files_have_them(made):
         np.testing.assert_array_equal(getattr(mean, name), getattr(plain, name))
     # Of files without them, or where no filter was asked for, it is that of the vectors of pairs, bit for bit.
     old = [
-        replace(chunk, fields=tuple(replace(field, unfiltered_m_s=None) for field in chunk.fields))
+        replace(chunk, fields=tuple(replace(field, unfiltered_m_s=None, is_usual=None) for field in chunk.fields))
         for chunk in chunks
     ]
     for same in (mean_flow(old, settings), mean_flow(chunks, replace(settings, denoise=0.0))):
