@@ -47,7 +47,13 @@ def flows_of(seed):
         "turbulence k^-4": flows.endless(seed, 1.2, 44.0, -4.0),
         "vortices": flows.vortices(seed, (22.0, 50.0), 8, 0.16, SIDE),
         "shear layer": flows.shear_layer(3.4, 11.0, 0.45, SIDE / 2),
+        "weak waves": _added(flows.uniform(1.3, -0.7), flows.turbulence(seed, 0.06, 90, 45)),
     }
+
+
+def _added(one, other):
+    """Sum of two fields: a uniform flow behind glass has detail that is weaker than the noise of a vector."""
+    return lambda u, v: [a + b for a, b in zip(one(u, v), other(u, v), strict=True)]
 
 
 def pair_of(flow, seed, diameter_px, image):

@@ -9,6 +9,7 @@ from piv.statistics.denoised_components import NoiseFilter
 from piv.statistics.denoised_mean import DenoisedMean
 from piv.statistics.effective_samples import EffectiveSamples, mean_sigma
 from piv.statistics.moments import Moments
+from tests.piv.sigma_table import figures, flows_of, of_means
 
 SHAPE, STEP, NOISE = (26, 30), 8, 0.1
 HOW = NoiseFilter.of(FOUND_WINDOWS, STEP, FOUND_WINDOWS.denoise)
@@ -69,6 +70,15 @@ def test_without_detail_noise_goes_and_fluctuations_stay_in_sigma(moving):
     else:
         assert np.std(error) < 0.35 * NOISE / np.sqrt(pairs)
         assert np.std(error) / stated == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.slow  # the arithmetic is held by the first test; this one holds the vectors that pairs give
+def test_weak_waves_of_frames_stay_in_the_mean():
+    error, ratio, within, far = figures(*of_means(lambda seed: flows_of(seed)["weak waves"], 83072, 2.4, "noisy"))
+    assert error < 0.04  # 0.051 of filtered vectors
+    assert ratio < 1.6  # 4.2
+    assert within > 0.45  # 0.19
+    assert far == 0.0
 
 
 def test_places_without_noise_known_keep_their_mean():
