@@ -222,8 +222,10 @@ def run(words: list[str], folder: Path, cache: Path | None = None) -> Times:
 def _seconds(command: list[str], environment: dict[str, str]) -> list[float]:
     """Wall clock and processor time of a process."""
     before, began = os.times(), time.perf_counter()
-    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
+    done = subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     after, wall = os.times(), time.perf_counter() - began
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command[-3:])} ended with {done.returncode}:\n{done.stderr}")
     return [wall, after.children_user + after.children_system - before.children_user - before.children_system]
 
 

@@ -14,18 +14,22 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.commands import frames_of, measured
 from benchmarks.contenders import race, start, stop
 from benchmarks.options import options
 from benchmarks.race import measure
 from benchmarks.scenes import MOVED, bench_scene
+from piv.files.frame_file import read_frame
 from tracer.strategies.ray_map import build_ray_map
 
 ROWS = ("one_sphere_250", "two_spheres_500", "three_spheres_500", "pyramid_500")
@@ -106,6 +110,24 @@ def command_rows(rounds: int, size: int, kept: Path | None) -> Iterator[Row]:
         timed = f"import time\nbegan = time.perf_counter()\n{script}\nprint(time.perf_counter() - began)"
         found = [float(subprocess.check_output([sys.executable, "-c", timed])) for _ in range(rounds)]
         yield Row("import and first map, s", float(np.median(found)), 0.5)
+        frames = [read_frame(folder / "frames" / f"particles_clear_{name}.tif") for name in "ab"]
+        yield Row(
+            "a pair by two threads, times as fast as by one", gain_of_threads(frames, rounds), 1.87, more=True
+        )
+
+
+def gain_of_threads(frames: list[NDArray[Any]], rounds: int) -> float:
+    """How many times as fast two threads evaluate a pair as one, by wall clock, in turns."""
+    from piv.correlation.pair import evaluate_pair
+
+    times: dict[int, list[float]] = {1: [], 2: []}
+    for _ in range(rounds + 1):
+        for threads, taken in times.items():
+            with patch.dict(os.environ, RTPIV_THREADS=str(threads)):
+                began = time.perf_counter()
+                evaluate_pair(*frames)
+                taken.append(time.perf_counter() - began)
+    return float(np.median(times[1][1:]) / np.median(times[2][1:]))
 
 
 def series_rows() -> Iterator[Row]:

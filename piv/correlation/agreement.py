@@ -40,6 +40,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ground.rows import map_parts
 from piv.correlation.uncertainty import Blocks
 from piv.correlation.windows import WindowGrid, interpolation_matrix
 
@@ -97,14 +98,17 @@ def measure_agreement(
         interpolation_matrix(node, place, grid.step_px) for place, node in zip(blocks.centres, nodes, strict=True)
     )
     shown = np.square(weight)
-    product, expected, square = np.zeros((3, *grid.shape))
-    for axis in range(2):
+
+    def sums_of(axis: int) -> tuple[Floats, Floats, Floats]:
         by_shift = blocks.by_shift[axis]
         known = down @ ((weight * beyond_px[..., axis]).astype(np.float32) @ along.T)
         pairs = _opposite(blocks.lean[axis] - known * by_shift)
-        product += rows @ pairs @ columns.T
-        expected += shown * (rows @ _opposite(by_shift) @ columns.T)
-        square += rows**2 @ pairs**2 @ (columns**2).T
+        expected = shown * (rows @ _opposite(by_shift) @ columns.T)
+        return rows @ pairs @ columns.T, expected, rows**2 @ pairs**2 @ (columns**2).T
+
+    product, expected, square = np.zeros((3, *grid.shape))
+    for of_component in map_parts(sums_of, range(2)):
+        product, expected, square = product + of_component[0], expected + of_component[1], square + of_component[2]
     seen = weight > 0.0
     means = []
     for reach in REACHES:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import map_parts
 from piv.correlation.windows import WindowGrid
 
 SHAPE_CELL_PX, ROWS = 16, 4  # side of a cell; one row of so many is read
@@ -64,14 +65,20 @@ def inclination_of(frame: NDArray[np.float32]) -> Inclination | None:
     frame : ndarray of float32, shape (H, W)
         Without the mean of its surroundings.
     """
-    along_u = [_in_cells(frame, (0, 0), (0, lag)) for lag in (1, 2)]
-    along_v = [_in_cells(frame, (0, 0), (lag, 0)) for lag in (1, 2)]
-    down, up = _in_cells(frame, (0, 0), (1, 1)), _in_cells(frame, (1, 0), (0, 1))
+    lags = (
+        ((0, 0), (0, 1)),
+        ((0, 0), (0, 2)),
+        ((0, 0), (1, 0)),
+        ((0, 0), (2, 0)),
+        ((0, 0), (1, 1)),
+        ((1, 0), (0, 1)),
+    )
+    *along, down, up = map_parts(lambda pair: _in_cells(frame, *pair), lags)
     share = (down - up) / np.maximum(down + up, 1e-12)
     between = -2.0 * np.arctanh(np.clip(share, -0.95, 0.95))  # M_uv
     own_u, own_v = (
         4.0 / 3.0 * np.maximum(np.log(np.maximum(one, 1e-12) / np.maximum(two, 1e-12)), MIN_FALL)
-        for one, two in (along_u, along_v)
+        for one, two in (along[:2], along[2:])
     )
     k = np.clip(between / np.sqrt(own_u * own_v), -MAX_INCLINATION, MAX_INCLINATION)
     if np.median(np.abs(k)) < MIN_INCLINATION:

@@ -152,7 +152,10 @@ def prepare_pair(
     coarse, hidden = coarse_light(a, b, window_px), None
     if coarse is not None:
         coarse = coarse * weight
-        (a, dim_a), (b, dim_b) = (without_coarse_light(frame, coarse, window_px) for frame in (a, b))
+        coarse_share = coarse
+        (a, dim_a), (b, dim_b) = map_parts(
+            lambda each: without_coarse_light(each, coarse_share, window_px), (a, b)
+        )
         shown = shows_particles(a, b, coarse, window_px) & ((dim_a & dim_b) | (coarse == 0.0))
         hidden = ~shown & seen
         weight *= shown

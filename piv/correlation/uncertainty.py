@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.rows import run_rows
+from ground.rows import run_parts, run_rows
 from piv.correlation.deform import DeformedPair
 from piv.correlation.kernels.statistics import KINDS, block_sums
 from piv.correlation.refine import Refined
@@ -148,7 +148,8 @@ def correlation_asymmetry(
         interpolation_matrix(node, place, grid.step_px) for place, node in zip(blocks.centres, nodes, strict=True)
     ]
     found = CorrelationAsymmetry(*(np.empty(left_px.shape) for _ in range(3)))
-    for axis in range(2):
+
+    def sum_component(axis: int) -> None:
         lean, by_shift = blocks.lean[axis], blocks.by_shift[axis]
         left = between[0] @ (left_px[..., axis].astype(np.float32) @ between[1].T)
         left *= by_shift
@@ -163,6 +164,8 @@ def correlation_asymmetry(
         left += lean
         left /= rest
         found.variance[..., axis] = _window_variance(left, along)
+
+    run_parts(sum_component, range(2))
     return found
 
 

@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import map_parts
+
 MEDIAN_PX = 5  # of the frame, 3 at half the resolution
 CELL = 4  # side of cells that are compared, at half the resolution
 FLAT, LEAST, LARGE = 0.1, 0.7, 3.0
@@ -60,13 +62,17 @@ def coarse_light(a: Floats, b: Floats, window_px: int) -> Floats | None:
     if min(cells) < 2 * around:
         return None
     variance = fine = np.zeros(cells[::-1], np.float32)
-    for frame in (a, b):
+
+    def variances(frame: Floats) -> tuple[Floats, Floats]:
         half = means(frame, (cells[0] * CELL, cells[1] * CELL))
         median = np.asarray(cv2.medianBlur(half, 3))
         coarse, square, rest = (
             cv2.blur(means(part, cells), (around, around)) for part in (median, median**2, (half - median) ** 2)
         )
-        variance, fine = variance + np.maximum(square - coarse**2, 0.0), fine + rest
+        return np.maximum(square - coarse**2, np.float32(0.0)), np.asarray(rest, np.float32)
+
+    for of_median, of_rest in map_parts(variances, (a, b)):
+        variance, fine = variance + of_median, fine + of_rest
     seen = fine > 0.0
     if not seen.any():
         return None

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import map_parts
+
 LEVEL = 9  # side of the surroundings, in pixels of half the resolution as all of these
 CLEAR, PER_MEAN = 4.0, 1.25  # deviations of the noise; one of them over its mean size
 BLOCK, LEAST = (
@@ -50,16 +52,18 @@ def empty_areas(a: NDArray[Any], b: NDArray[Any], valid: NDArray[np.bool_]) -> N
     if min(size) < 2 * LEVEL or not valid.any():
         return None
     inside = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 1.0
-    particles, density = ~inside, 0.0
-    for frame in (a, b):
+
+    def particles_of(frame: NDArray[Any]) -> tuple[NDArray[np.bool_], float]:
         half = cv2.resize(np.where(valid, frame, 0).astype(np.float32), size, interpolation=cv2.INTER_AREA)
         above = half - cv2.blur(half, (LEVEL, LEVEL))
         noise = PER_MEAN * float(np.quantile(_of_blocks(np.abs(above)), LEAST))
         clear = (above > CLEAR * noise) & inside
         clear &= cv2.filter2D(clear.astype(np.uint8), -1, np.ones((3, 3), np.uint8)) > 1
         peaks = clear & (above == cv2.dilate(above, np.ones((3, 3), np.uint8)))
-        density = max(density, _density(peaks))
-        particles |= clear
+        return np.asarray(clear), _density(peaks)
+
+    (of_a, density_a), (of_b, density_b) = map_parts(particles_of, (a, b))
+    particles, density = ~inside | of_a | of_b, max(0.0, density_a, density_b)
     if density == 0.0:
         return None
     radius = np.sqrt(2.0 * np.log(density * inside.sum() / CHANCE) / (np.pi * density))

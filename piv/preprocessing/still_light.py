@@ -30,7 +30,8 @@ means over all that are compared. A series finds its still light so, from frames
 off: what is left of a wall then flickers as the pulses do, and stands still no more.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -129,7 +130,13 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         numbers = _numbers((a, b), valid)
         (one, of_a), (other, of_b) = map_parts(lambda frame: _remove_level(frame, valid, weight), numbers)
         ordered = (one, one), (other, other), (one, other), (other, one)
-        of_one, of_other, there, back = map_parts(lambda parts: _products(*parts), ordered)
+        exact = all(frame.dtype in (np.uint8, np.uint16) for frame in (a, b))
+        tasks: list[Callable[[], Any]] = [
+            partial(_plateaus, *((a, b) if exact else numbers)),
+            *(partial(_products, *parts) for parts in ordered),
+            partial(_floor, numbers[0], numbers[1], of_a.shape),
+        ]
+        flat, of_one, of_other, there, back, floor = map_parts(lambda task: task(), tasks)
         of_one, of_other = (np.maximum(part, 0.0) for part in (of_one, of_other))
         both = np.float32(0.5) * (there + back)
         if not (of_one.any() and of_other.any()):
@@ -140,13 +147,10 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         scales = [np.float32(1.0 / max(float(part.mean()), 1e-30)) for part in (of_one, of_other)]
         mean = np.float32(0.5) * (scales[0] * of_one + scales[1] * of_other)
         bright = np.sqrt(scales[0]) * of_a + np.sqrt(scales[1]) * of_b
-        floor = _floor(numbers[0], numbers[1], share.shape)
         least = np.minimum(scales[0] * of_one, scales[1] * of_other)
         now = [np.asarray(part, np.float32) for part in (share, mean, bright, floor, least)]
         sums = [total + part for total, part in zip(sums, now, strict=True)] if sums else now
         counts += float(scales[0] * scales[1]) ** -0.25
-        exact = all(frame.dtype in (np.uint8, np.uint16) for frame in (a, b))
-        flat = _plateaus(*((a, b) if exact else numbers))
         if plateaus is not None:
             picks = np.minimum, np.maximum, np.maximum
             flat = tuple(pick(*parts) for pick, *parts in zip(picks, plateaus, flat, strict=True))
@@ -190,10 +194,13 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         np.minimum(np.arange(side) // STILL_CELL_PX, count - 1)
         for side, count in zip(valid.shape, found.shape, strict=True)
     )
-    still = found[:, columns][rows] | _find_ruled_lines(darkest, valid)
+    parts: list[Callable[[], NDArray[np.bool_]]] = [partial(_find_ruled_lines, darkest, valid)]
     if quick:
         ground = float(np.median(cells.floor[moves])) * counts / count
-        still |= _find_writing(plateaus, valid, ground, moves[:, columns][rows])
+        parts.append(partial(_find_writing, plateaus, valid, ground, moves[:, columns][rows]))
+    still = found[:, columns][rows]
+    for part in map_parts(lambda find: find(), parts):
+        still |= part
     return still if still.any() else None
 
 
