@@ -11,7 +11,8 @@ apart from what a flow through the sheet adds (`correction.maps.slant`); to firs
 
 A window measures where the peak of its correlation is, which is no mean: particles displaced by c beside the
 others pull the peak by c exp(-c^2 / 2 s^2), s the width of a peak.  Where two bundles of light meet, the mean
-height has a step that no particle takes; there the pull is small as well.
+height has a step that no particle takes; there the pull is small as well.  What is dark or in glass in one of the
+frames pulls nothing.
 """
 
 from dataclasses import dataclass, replace
@@ -82,8 +83,8 @@ class HeightChange:
         up = np.array((1.0, -1.0))
         shift_mm = means.at_nodes(shift_px) * up / self.px_per_mm
         half_mm = 0.5 * np.nan_to_num(shift_mm)
-        first = self.light.height_at(self.nodes_mm - half_mm)
-        last = self.light.height_at(self.nodes_mm + half_mm)
+        first = self.light.height_where_lit(self.nodes_mm - half_mm)
+        last = self.light.height_where_lit(self.nodes_mm + half_mm)
         beside = (last - first)[..., None] * self.slope * self.px_per_mm
         far = np.square(beside / PEAK_PX).sum(axis=-1)
         pull = beside * np.exp(-0.5 * far)[..., None]

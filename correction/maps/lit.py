@@ -64,12 +64,22 @@ class PlaneLight:
 
     def height_at(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height (...) [mm] of the light at points (..., 2) of the plane; 0 where there is none."""
+        moment, brightness = self._moments_at(points_mm)
+        return np.asarray(moment / np.where(brightness > 0.0, brightness, 1.0))
+
+    def height_where_lit(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height (...) [mm] of the light at points (..., 2) of the plane; NaN where it is too dark."""
+        moment, brightness = self._moments_at(points_mm)
+        lit = brightness >= LEAST_BRIGHTNESS
+        return np.where(lit, moment, np.nan) / np.where(lit, brightness, 1.0)
+
+    def _moments_at(self, points_mm: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Brightness times height, and brightness (...), at points (..., 2) of the plane."""
         light = self.light
         u, v = np.moveaxis(self.grid.to_px(points_mm), -1, 0)
         known = np.where(np.isfinite(light.height_mm), light.brightness, 0.0)
         moments = known * np.nan_to_num(light.height_mm), known
-        moment, weight = (scipy.ndimage.map_coordinates(one, (v, u), order=1, mode="nearest") for one in moments)
-        return np.asarray(moment / np.where(weight > 0.0, weight, 1.0))
+        return [scipy.ndimage.map_coordinates(one, (v, u), order=1, mode="nearest") for one in moments]
 
 
 def light_of(scene: Scene, grid: PlaneGrid) -> PlaneLight | None:

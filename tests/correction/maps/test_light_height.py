@@ -8,10 +8,12 @@ from scipy.ndimage import map_coordinates
 
 from correction.fitted.prepared import prepare
 from correction.fitted.scene_sigma import SceneSigma
+from correction.grid import PlaneGrid
 from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
+from correction.maps.height_change import HeightChange
 from correction.maps.light_height import HeightRate
-from correction.maps.lit import light_of
+from correction.maps.lit import PlaneLight, light_of
 from correction.node_status import NodeStatus
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
@@ -25,6 +27,7 @@ from sim.flow.view import ParticleView
 from tests.tracer.scenes import ball, camera_at
 from tracer.light_sheet import LightSheet, SheetSource
 from tracer.scene.scene import Scene
+from tracer.strategies.light_map import LightMap
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import CAMERA, SPHERE
 
@@ -145,6 +148,24 @@ def test_displacements_are_those_of_particles_that_keep_their_height(scene):
     assert np.median(surface_off) > 0.01
     assert np.median(left) < 0.1 * np.median(surface_off)
     assert np.quantile(left, 0.85) < 0.2 * np.median(plane_off)  # beyond: across a step, which no window follows
+
+
+@pytest.mark.parametrize("brightness", [0.0, 0.1, 1.0])
+def test_what_is_dark_in_one_frame_moves_nothing(brightness):
+    """Beside a shadow the light has no height to change to: the slope of the rest counts."""
+    grid = PlaneGrid((0.0, 0.0), 0.1, (64, 64))
+    x_mm = grid.nodes_mm()[..., 0]
+    bright = np.where(x_mm < 3.2, 1.0, brightness)
+    height = np.where(bright == 1.0, 0.02 * x_mm, 0.0)
+    light = PlaneLight(grid, LightMap(bright, height, np.full(grid.shape, 0.5), 1.0, 1.0, 0.0), 1)
+    nodes_mm = grid.nodes_mm()[::4, ::4]
+    change = HeightChange(light, nodes_mm, np.full_like(nodes_mm, (0.2, 0.0)), 10.0, grid.shape)
+    windows = WindowGrid(np.array([20]), np.array([24]), 16, 8)
+    shift_px = np.array([[(10.0, 0.0)]])
+    bias, _ = change.bias_px(shift_px, windows, 0.0)
+    slope_px = 0.02 * 0.2 * 10.0
+    assert bias[0, 0, 1] == 0.0
+    assert bias[0, 0, 0] == pytest.approx(slope_px, rel=0.02)
 
 
 def mean_errors_px(scene, flow_px, pairs, seed):
