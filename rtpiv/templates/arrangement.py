@@ -9,8 +9,10 @@ The plane is z = 0, the camera far above it.
     sc         a bed, simple cubic: n balls along each side, n^3 in all
     bcc        a bed, body-centred: n^3 balls that do not touch, and one in contact with eight in each gap of them
     hcp        a bed, closest packing: layers of a hexagon, of a triangle between them, of the hexagon again
+    tube       a glass tube along y, packed with rings of four balls, every other ring turned by 45 degrees
 
 A bed of some layers has 3 x 3 balls in its top layer (hcp: a hexagon), and the next one in its hollows.
+The layers of a tube are its rings; its light sheet runs down its axis.
 """
 
 import math
@@ -18,18 +20,21 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 Vector = tuple[float, float, float]
-Arrangement = Literal["behind", "beside", "triangle", "pyramid", "sc", "bcc", "hcp", "row", "side"]
+Arrangement = Literal["behind", "beside", "triangle", "pyramid", "sc", "bcc", "hcp", "tube", "row", "side"]
 ALIASES = {"row": "behind", "side": "beside"}
 ARRANGEMENTS = tuple(name for name in get_args(Arrangement) if name not in ALIASES)
 BEDS = {"sc": (8, 27, 64), "bcc": (9, 35, 91), "hcp": (10, 17)}  # numbers of balls
+LAYERED = (*BEDS, "tube")
 AIR_MM = 0.01  # between balls, so that rounded positions do not overlap
+TUBE_AIR_MM, TUBE_WALL = 0.2, 1.0 / 6.0  # between balls and wall; thickness of the wall in diameters of a ball
+TUBE_PLANE = 2.0  # its axis, counted as the layers of other beds
 ROD_LENGTH_MM = 60.0
 ROD_GAP_MM = 0.01  # the same between balls and rods
 
 
 def most_balls(arrangement: str) -> Sequence[int]:
     """Return how many balls an arrangement may have."""
-    return {"triangle": (3,), "pyramid": (4, 5), **BEDS}.get(arrangement, range(1, 9))
+    return {"triangle": (3,), "pyramid": (4, 5), **BEDS, "tube": ()}.get(arrangement, range(1, 9))
 
 
 def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
@@ -38,7 +43,7 @@ def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
         return balls or 2, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 2, "behind")
     arrangement = ALIASES.get(arrangement, arrangement)
     counts = most_balls(arrangement)
-    few = {"pyramid": 5, "behind": 2, "beside": 2}.get(arrangement, counts[0])
+    few = {"pyramid": 5, "behind": 2, "beside": 2}.get(arrangement, next(iter(counts), 0))
     return (balls if balls is not None else few), arrangement
 
 
@@ -70,8 +75,19 @@ def centres_mm(
 
 
 def layers_mm(arrangement: str, layers: int, ball_mm: float) -> tuple[list[Vector], float]:
-    """Centres of a bed of some layers about the axis, the lowest at z = 0, and the distance between its layers."""
+    """Centres of a bed of some layers about the axis, the lowest at z = 0, and the distance between its layers.
+
+    Those of a tube are rings along y; the distance is that from its axis to the balls in front of it.
+    """
     apart = ball_mm + AIR_MM
+    if arrangement == "tube":
+        far = apart / math.sqrt(2.0)
+        up = math.sqrt(apart**2 - (2.0 * far * math.sin(math.pi / 8.0)) ** 2)
+        turns = [
+            (up * (k - 0.5 * (layers - 1)), 45.0 * (k % 2) + 90.0 * n) for k in range(layers) for n in range(4)
+        ]
+        rings = [(y, *_polar(far, degrees)) for y, degrees in turns]
+        return [(x, y, z + far) for y, x, z in rings], far
     cell, up = apart, apart
     if arrangement == "bcc":
         cell, up = 2.0 * apart / math.sqrt(3.0), apart / math.sqrt(3.0)
@@ -82,6 +98,12 @@ def layers_mm(arrangement: str, layers: int, ball_mm: float) -> tuple[list[Vecto
         wide, narrow = (_square(side, cell) for side in (3, 2))
         kinds = [wide, narrow if arrangement == "bcc" else wide]
     return [(x, y, up * k) for k in range(layers) for x, y in kinds[(layers - 1 - k) % 2]], up
+
+
+def tube_radii_mm(ball_mm: float) -> tuple[float, float]:
+    """Outer and inner radius of a tube around rings of four balls."""
+    inner = (ball_mm + AIR_MM) / math.sqrt(2.0) + 0.5 * ball_mm + TUBE_AIR_MM
+    return round(inner + TUBE_WALL * ball_mm, 2), round(inner, 2)
 
 
 def span_mm(centres: Sequence[Vector], ball_mm: float) -> tuple[float, float]:

@@ -11,10 +11,11 @@ from string import Template
 
 from correction.target import board_file
 from rtpiv.analysis.prints.pages import bars_on
+from rtpiv.templates.arrangement import tube_radii_mm
 from rtpiv.templates.lab import Lab, medium_of_glass
 from rtpiv.templates.room import CLEARANCE_MM, GLASS_HEIGHTS_MM, SHEET_OFF_MM, Room, bare_heights_mm
 from tracer.board import CHIRAL
-from tracer.bodies import Rod, Sphere
+from tracer.bodies import Body, Rod, Sphere, Tube
 from tracer.camera import Camera, look_at, thin_lens_distance_mm
 from tracer.light_sheet import LightSheet
 from tracer.media import MEDIA, ConstantMedium, media_names
@@ -27,6 +28,7 @@ NAMES = {
     ("pyramid", 5): ("southwest", "southeast", "northeast", "northwest", "tip"),
 }
 CONDITION = re.compile(r"@([\w,]+)\|")
+TUBE_GLASS = "borosilicate"
 # Displacement between two pulses [px] and speed [mm/s]: of the jet at its exit; between balls, strongly sheared.
 JET_FLOW, BED_FLOW = (8.0, 1300.0), (4.0, 700.0)
 
@@ -72,6 +74,12 @@ def scene_text(lab: Lab) -> str:
         f"end_mm: [{_decimals(end)}], radius_mm: {lab.support_mm / 2.0:.4g}}}  # opaque"
         for number, (start, end) in enumerate(lab.rods_mm, start=1)
     ]
+    if (tube := _tube(lab)) is not None:
+        bodies.append(
+            f"  - {{name: tube, kind: tube, start_mm: [{_decimals(tube.start_mm)}], "
+            f"end_mm: [{_decimals(tube.end_mm)}],\n     outer_radius_mm: {tube.outer_radius_mm:g}, "
+            f"inner_radius_mm: {tube.inner_radius_mm:g}, material: {TUBE_GLASS}, carried_by: glass}}"
+        )
     plain = ("wavelength_nm", "lens_mm", "distance_mm", "pixel_pitch_um")
     return fill(
         "scene.yaml",
@@ -85,7 +93,8 @@ def scene_text(lab: Lab) -> str:
         pinhole=", ".join(f"{c:g}" for c in lab.pinhole_mm),
         media=str(media_names()),
         sheet_mm=f"{lab.sheet_mm:g}",
-        light_mm=f"{math.ceil(1.5 * max(lab.span_mm)):g}",
+        light_mm=f"{lab.light_mm:g}",
+        light_deg="90.0" if lab.is_tube else "180.0",
         bodies="\n".join(bodies),
     )
 
@@ -164,6 +173,15 @@ def ball_names(lab: Lab) -> tuple[str, ...]:
     return NAMES.get((lab.arrangement, lab.balls)) or tuple(f"ball{number + 1}" for number in range(lab.balls))
 
 
+def _tube(lab: Lab) -> Tube | None:
+    """Tube around the balls of a lab, if they stand in one."""
+    if not lab.is_tube:
+        return None
+    half = round(0.5 * lab.span_mm[1] + lab.beyond_mm, 2)
+    ends = (0.0, -half, lab.sheet_mm), (0.0, half, lab.sheet_mm)
+    return Tube("tube", *ends, *tube_radii_mm(lab.ball_mm), MEDIA[TUBE_GLASS], carried_by="glass")
+
+
 def _material(glass: str) -> str:
     return f"{{n: {glass}}}" if isinstance(medium_of_glass(glass), ConstantMedium) else repr(glass)
 
@@ -190,10 +208,14 @@ def scene_of(lab: Lab) -> Scene:
         rotation=look_at(pinhole, (0.0, 0.0, 0.0)),
     )
     each = zip(ball_names(lab), lab.centres_mm, lab.each_mm, lab.each_glass, strict=True)
-    balls = [Sphere(name, centre, size / 2.0, medium_of_glass(glass)) for name, centre, size, glass in each]
+    bodies: list[Body] = [
+        Sphere(name, centre, size / 2.0, medium_of_glass(glass)) for name, centre, size, glass in each
+    ]
     rods = [
         Rod(f"rod{number}", start, end, lab.support_mm / 2.0)
         for number, (start, end) in enumerate(lab.rods_mm, start=1)
     ]
     sheet = LightSheet(z_mm=lab.sheet_mm) if lab.layers else None
-    return Scene(camera, (*balls, *rods), lab.wavelength_nm, MEDIA["air"], sheet)
+    if (tube := _tube(lab)) is not None:
+        bodies.append(tube)
+    return Scene(camera, (*bodies, *rods), lab.wavelength_nm, MEDIA["air"], sheet)

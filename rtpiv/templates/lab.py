@@ -17,7 +17,10 @@ from rtpiv.analysis.prints.pages import whole_dots
 from rtpiv.templates.arrangement import (
     ALIASES,
     ARRANGEMENTS,
-    BEDS,
+    LAYERED,
+    TUBE_AIR_MM,
+    TUBE_PLANE,
+    TUBE_WALL,
     Vector,
     centres_mm,
     layers_mm,
@@ -132,9 +135,18 @@ class Lab:
             said.append(f"sensor_px: should be width and height, 16 to 65535, not {self.sensor_px}")
         if self.arrangement not in ARRANGEMENTS:
             said.append(f"arrangement {self.arrangement!r}: there are {', '.join(ARRANGEMENTS)}")
-        elif self.layers and self.arrangement not in BEDS:
-            said.append(f"layers: a bed has layers ({', '.join(BEDS)}), not {self.arrangement!r}")
-        elif self.layers and not (self.layers <= MOST_LAYERS and 1.0 <= self.plane <= self.layers):
+        elif self.layers and self.arrangement not in LAYERED:
+            said.append(f"layers: a bed has layers ({', '.join(LAYERED)}), not {self.arrangement!r}")
+        elif self.arrangement == "tube" and not (1 <= self.layers <= MOST_LAYERS and self.plane == TUBE_PLANE):
+            said.append(
+                f"layers: a tube has 1 to {MOST_LAYERS} layers, rings of four balls, and its light sheet runs down"
+                " its axis; give --layers, and leave --balls and --plane out"
+            )
+        elif (
+            self.layers
+            and not self.is_tube
+            and not (self.layers <= MOST_LAYERS and 1.0 <= self.plane <= self.layers)
+        ):
             said.append(
                 f"layers, plane: should be 1 to {MOST_LAYERS} layers and a plane from 1, the top, to the last;"
                 f" not {self.layers} and {self.plane:g}"
@@ -174,10 +186,25 @@ class Lab:
     def centres_mm(self) -> list[Vector]:
         """Centre of every ball."""
         if self.layers:
-            low = self.gap_mm + self.ball_mm / 2.0
+            low = self.gap_mm + self.wall_mm + self.ball_mm / 2.0
             bed, _ = layers_mm(self.arrangement, self.layers, self.ball_mm)
             return [(round(x, 4), round(y, 4), round(z + low, 4)) for x, y, z in bed]
         return centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm, self.sizes_mm)
+
+    @property
+    def is_tube(self) -> bool:
+        """Return whether the balls stand in a tube."""
+        return self.arrangement == "tube"
+
+    @property
+    def beyond_mm(self) -> float:
+        """Length of the tube beyond its balls at either end; 0 without one."""
+        return self.ball_mm if self.is_tube else 0.0
+
+    @property
+    def wall_mm(self) -> float:
+        """Wall of the tube and gap to its balls; 0 without one."""
+        return TUBE_AIR_MM + TUBE_WALL * self.ball_mm if self.is_tube else 0.0
 
     @property
     def sheet_mm(self) -> float:
@@ -186,6 +213,11 @@ class Lab:
             return 0.0
         top = max(z for _, _, z in self.centres_mm)
         return round(top - (self.plane - 1.0) * layers_mm(self.arrangement, self.layers, self.ball_mm)[1], 2)
+
+    @property
+    def light_mm(self) -> int:
+        """Width of the light of the sheet: across all balls, down the tube within its wall."""
+        return math.floor(self.span_mm[0]) if self.is_tube else math.ceil(1.5 * max(self.span_mm))
 
     @property
     def sheet_clear_mm(self) -> float:

@@ -40,7 +40,7 @@ def room_of(lab: Lab) -> Room:
         Between lens and glass is no room to move the glass out of the picture.
     """
     centres, away = lab.centres_mm, lab.pinhole_mm[2]
-    radius = lab.ball_mm / 2.0
+    radius = lab.ball_mm / 2.0 + lab.wall_mm
     top = max(z for _, _, z in centres) + radius
     ahead = min(LENS_MM, 0.15 * lab.distance_mm)
     front = away - ahead - CAMERA_RADIUS_MM  # of keep-out's rounded cylinder for the camera
@@ -51,7 +51,7 @@ def room_of(lab: Lab) -> Room:
             f"{2 * CLEAR_MM:g} mm to move the glass; take a larger --distance-mm, or fewer balls"
         )
     retract = min(RETRACT_MM, room)
-    highest = max(y for _, y, _ in centres) + radius
+    highest = max(y for _, y, _ in centres) + radius + lab.beyond_mm
     out = -(highest + max(lab.field_mm[1] / 2.0, BOARD_MM / 4.0) + CLEAR_MM)
     board = max(0.0, min(20.0, lab.gap_mm + retract - CLEAR_MM))
     return Room(

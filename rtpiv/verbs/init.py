@@ -14,7 +14,15 @@ from ground.plain_words import quantity
 from ground.terminal import console
 from rtpiv.analysis.report.table import Table
 from rtpiv.options.numbers import Count, Positive
-from rtpiv.templates.arrangement import ARRANGEMENTS, BEDS, Arrangement, layers_mm, most_balls, usual
+from rtpiv.templates.arrangement import (
+    ARRANGEMENTS,
+    LAYERED,
+    TUBE_PLANE,
+    Arrangement,
+    layers_mm,
+    most_balls,
+    usual,
+)
 from rtpiv.templates.files import bench_text, board_text, flow_plan, scene_text, shift_plan, target_plan
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.room import room_of
@@ -89,7 +97,7 @@ class GivenLab:
         From the lens to the plane (default 500).
     arrangement : str, optional
         Arrangement: one behind the other (behind, row), beside each other (beside, side), ...; sc, bcc,
-        hcp: packed beds (default: behind; triangle of 3, pyramid of 4 or 5).
+        hcp: packed beds; tube: a packed tube (default: behind; triangle of 3, pyramid of 4 or 5).
     balls : int, optional
         Number of balls (default 2).
     ball_mm : float or sequence of float, optional
@@ -107,7 +115,7 @@ class GivenLab:
     turn_deg : float, optional
         Viewing angle of the camera about the y axis (default 0).
     layers : int, optional
-        Layers of a bed (bcc, sc, hcp; default bcc) with the light sheet in it and the board behind it.
+        Layers of a bed (bcc, sc, hcp, tube; default bcc) with the light sheet in it and the board behind it.
     plane : float, optional
         Layer of the sheet, counted from the top: 1 (default) through the centres of the top layer, 1.5 between it
         and the next.
@@ -207,8 +215,9 @@ def _with_layers(given: Words) -> Words:
     if "balls" in given or any(isinstance(given.get(key), tuple) for key in ("sizes_mm", "glasses")):
         raise RunUsageError("layers say how many balls a bed has, all alike; leave --balls out")
     shape = given.get("arrangement", "bcc")
-    count = len(layers_mm(shape, given["layers"], 1.0)[0]) if shape in BEDS else 1
-    return {"gap_mm": BED_GAP_MM} | given | {"arrangement": shape, "balls": count}
+    count = len(layers_mm(shape, given["layers"], 1.0)[0]) if shape in LAYERED else 1
+    usual_plane = {"plane": TUBE_PLANE} if shape == "tube" else {}
+    return {"gap_mm": BED_GAP_MM} | usual_plane | given | {"arrangement": shape, "balls": count}
 
 
 def _first(several: Sequence[Any]) -> Any:  # noqa: ANN401 - of any kind

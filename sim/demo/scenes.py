@@ -106,7 +106,8 @@ def misalign(scene: Scene, seed: int, *, barrel: float = 0.0, is_packed: bool = 
     barrel : float
         Barrel distortion of the true lens: k1 in units of the half sensor width.
     is_packed : bool
-        Balls that touch each other are off all together, turned and moved as one, and still touch.
+        Balls that touch each other are off all together, turned and moved as one, and still touch; so is a tube
+        that the glass carries.
 
     Raises
     ------
@@ -118,10 +119,15 @@ def misalign(scene: Scene, seed: int, *, barrel: float = 0.0, is_packed: bool = 
     shift = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.05, 0.2)])
     jitters = [rng.uniform(-0.1, 0.1, 3) for _ in bodies]
     true = replace(scene, camera=_perturb_camera(scene.camera, rng, barrel), bodies=())
+    moved = {k for k, body in enumerate(bodies) if body.room is None}
     if is_packed:
         together = _balls_in_contact(bodies)
+        if together:
+            together |= {k for k, body in enumerate(bodies) if body.room is not None and body.carried == "glass"}
+        moved |= together
         turn = Rotation.from_rotvec(rng.uniform(-PACKING_TURN, PACKING_TURN, 3))
-        middle = np.mean([bodies[k].capsule.start_mm for k in together], axis=0) if together else np.zeros(3)
+        ends = [(bodies[k].capsule.start_mm, bodies[k].capsule.end_mm) for k in together]
+        middle = np.mean(ends, axis=(0, 1)) if together else np.zeros(3)
         bodies = tuple(
             body.moved(lambda point: _vector(middle + turn.apply(np.array(point) - middle)))
             if k in together
@@ -135,8 +141,8 @@ def misalign(scene: Scene, seed: int, *, barrel: float = 0.0, is_packed: bool = 
         try:
             return true.with_bodies(
                 [
-                    body if body.room is not None else _shift_body(body, float(spread), shift + jitter)
-                    for body, jitter in zip(bodies, jitters, strict=True)
+                    _shift_body(body, float(spread), shift + jitters[k]) if k in moved else body
+                    for k, body in enumerate(bodies)
                 ]
             )
         except SceneError:

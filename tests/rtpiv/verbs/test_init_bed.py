@@ -9,8 +9,11 @@ from daq.bench.bench_file import load_bench
 from daq.bench.guards import sheet_clearances_mm
 from daq.bench.scene_plausibility import scene_questions
 from daq.errors import RunUsageError
+from rtpiv.templates.files import scene_of
+from rtpiv.templates.lab import Lab
 from rtpiv.verbs.check import check
 from rtpiv.verbs.init import GivenLab, init
+from sim.demo.scenes import misalign
 from tests.slow_cases import slow
 from tracer.scene.scene_file import load_priors, load_scene
 
@@ -37,12 +40,41 @@ def test_a_bed_of_layers_has_its_sheet_between_the_balls(tmp_path, shape, balls,
     assert min(near) >= bench.more["laser"].section.clear_mm
 
 
+def test_a_packed_tube_has_its_sheet_down_its_axis():
+    """Rings of four balls in contact within a tube; on the bench both are off as one."""
+    lab = Lab(arrangement="tube", layers=5, plane=2.0, balls=20, ball_mm=15.0, gap_mm=5.0, lens_mm=50.0)
+    scene = scene_of(lab)
+    (tube,) = (body for body in scene.bodies if body.kind == "tube")
+    assert scene.sheet.z_mm == pytest.approx(tube.start_mm[2])
+    assert tube.capsule.start_mm[2] - tube.outer_radius_mm == pytest.approx(5.0, abs=0.01)
+    balls = [ball for ball in scene.bodies if ball.kind == "sphere"]
+    for placed in (scene, misalign(scene, 7, is_packed=True)):
+        centres = np.array([ball.centre_mm for ball in placed.bodies if ball.kind == "sphere"])
+        apart = np.linalg.norm(centres[:, None] - centres, axis=-1) + 1e3 * np.eye(len(balls))
+        assert apart.min(axis=1) == pytest.approx(15.01, abs=1e-3)
+        (wall,) = (body for body in placed.bodies if body.kind == "tube")
+        start, way = np.array(wall.start_mm), np.subtract(wall.end_mm, wall.start_mm) / wall.length_mm
+        off = centres - start
+        far = np.linalg.norm(off - (off @ way)[:, None] * way, axis=1)
+        assert far + 7.5 == pytest.approx(wall.inner_radius_mm - 0.2, abs=0.02)
+    assert np.abs(np.subtract(wall.start_mm, tube.start_mm)).max() > 0.01
+
+
+@pytest.mark.slow  # the scene and its bench: test_a_packed_tube_has_its_sheet_down_its_axis
+def test_a_packed_tube_is_a_lab(tmp_path):
+    init(tmp_path, GivenLab(arrangement="tube", layers=5, ball_mm=15.0, lens_mm=50.0, glass="N-BK7"), ask=False)
+    assert len(load_scene(tmp_path / "scene.yaml").bodies) == 21
+    assert not list(scene_questions(tmp_path / "scene.yaml"))
+
+
 def test_layers_that_cannot_be(tmp_path):
     for wrong, said in (
         (GivenLab(plane=1.5), "give --layers too"),
         (GivenLab(layers=3, balls=9), "leave --balls out"),
         (GivenLab(layers=3, plane=4.0), "a plane from 1"),
         (GivenLab(layers=3, arrangement="behind"), "a bed has layers"),
+        (GivenLab(arrangement="tube"), "give --layers"),
+        (GivenLab(arrangement="tube", layers=5, plane=1.0), "down its axis"),
     ):
         with pytest.raises(RunUsageError, match=said):
             init(tmp_path / "bed", wrong, ask=False)
