@@ -115,7 +115,7 @@ class WindowMeans:
         )
 
     def of(self, nodes: Floats) -> Floats:
-        """Return means (ny, nx, 2) of vectors (h, w, 2) over the nodes that have one; NaN without."""
+        """Return means (ny, nx, C) of values (h, w, C) over the nodes that have one; NaN without."""
         return _weighted_means(nodes, self.down, self.along)
 
     def at_nodes(self, vectors: Floats) -> Floats:
@@ -124,7 +124,7 @@ class WindowMeans:
 
 
 def _weighted_means(values: Floats, down: NDArray[Any], along: NDArray[Any]) -> Floats:
-    """Means (m, n, 2) of values (h, w, 2), weighted along each axis; values that are NaN do not count."""
+    """Means (m, n, C) of values (h, w, C), weighted along each axis; values that are NaN do not count."""
     seen = np.isfinite(values).all(axis=-1)
     total = down @ seen.astype(np.float64) @ along.T
     sums = [down @ np.where(seen, part, 0.0) @ along.T for part in np.moveaxis(values, -1, 0)]

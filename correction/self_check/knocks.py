@@ -107,7 +107,7 @@ def find_knock(disparity: Floats, candidates: Sequence[Candidate]) -> Knock | No
     if found is None:
         return None
     white = found.values
-    parts = [_Follower.of(one, found.known, found.scatter) for one in candidates]
+    parts = [Follower.of(one, found) for one in candidates]
     tests = np.stack([part.test(white) for part in parts])
     chances = tests[:, :, 1]
     least = float(chances.min()) * chances.size
@@ -162,13 +162,8 @@ class WhiteDisparity:
         return cls(np.clip(off / scatter, -WINSOR, WINSOR), known, scatter)
 
 
-def position_fit(one: Candidate, white: WhiteDisparity) -> Floats:
-    """Return the positions (K, P) of a candidate in each pair."""
-    return _Follower.of(one, white.known, white.scatter).positions(white.values)
-
-
 @dataclass(frozen=True, eq=False)
-class _Follower:
+class Follower:
     """Weighted derivatives (M, P) of a candidate, its normal matrix with the prior, and the inverse."""
 
     rows: Floats
@@ -176,8 +171,9 @@ class _Follower:
     inverse: Floats
 
     @classmethod
-    def of(cls, one: Candidate, known: NDArray[np.bool_], scatter: Floats) -> "_Follower":
-        rows = one.rates[known] / scatter[..., None]
+    def of(cls, one: Candidate, white: WhiteDisparity) -> "Follower":
+        """Return that of a candidate at the places of a run."""
+        rows = one.rates[white.known] / white.scatter[..., None]
         rows = rows.reshape(-1, len(one.prior))
         normal = rows.T @ rows + np.diag(np.square(1.0 / one.prior))
         return cls(rows, normal, np.asarray(np.linalg.inv(normal), np.float64))

@@ -7,7 +7,7 @@ backend and everything above them stay the same, and never know.
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol, cast
 
@@ -104,6 +104,15 @@ class OpenBench:
     def camera(self) -> Camera:
         """Open, not configured."""
         return cast("Camera", self.devices[CAMERA])
+
+    def as_seen_by(self, name: str) -> "OpenBench":
+        """Return the bench with another of its cameras in the place of the first."""
+        return replace(
+            self,
+            bench=self.bench.as_seen_by(name),
+            devices={**self.devices, CAMERA: self.devices[name]},
+            sections={**self.sections, CAMERA: self.sections[name]},
+        )
 
     def rendering_s(self) -> float:
         """Seconds in which a simulation drew pictures, up to now; 0 at hardware."""

@@ -13,7 +13,7 @@ done has all of its cameras.
 
 import time
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 from daq.atomic_write import sync_folder, write_json
@@ -69,7 +69,7 @@ class RunCamera:
         show: Show | None = None,
     ) -> None:
         self.name = name
-        self.hardware = hardware if name == CAMERA else _as_seen_by(hardware, name)
+        self.hardware = hardware if name == CAMERA else hardware.as_seen_by(name)
         self.folder = folder
         self._corrections = corrections
         self._live_queue, self._show = live_queue, show
@@ -260,16 +260,6 @@ class RunCamera:
         """Write an ambiguity to the disk before anything else happens; a kill may follow."""
         if self._journal is not None:
             self._journal.append("doubt", sync=True, doubt=said)
-
-
-def _as_seen_by(hardware: OpenBench, name: str) -> OpenBench:
-    """The bench with a further camera in the place of the first."""
-    return replace(
-        hardware,
-        bench=hardware.bench.as_seen_by(name),
-        devices={**hardware.devices, CAMERA: hardware.devices[name]},
-        sections={**hardware.sections, CAMERA: hardware.sections[name]},
-    )
 
 
 def discard_unfinished(

@@ -49,7 +49,8 @@ KNOCKED = "{} was knocked {}{}"
 CALIBRATE = (
     "; calibrate again, and evaluate the pairs from {} on with that scene: the map is right for one side alone"
 )
-DRIFTED = "{} drifts by ({:+.1f}, {:+.1f}, {:+.1f}) +- ({:.1f}, {:.1f}, {:.1f}) um from the first pair to the last"
+DRIFTED = "{} drifts{} from the first pair to the last"
+DRIFT_UM = " by ({:+.1f}, {:+.1f}, {:+.1f}) +- ({:.1f}, {:.1f}, {:.1f}) um"
 MOST_LIKELY = f"; {MIN_SURE_PAIRS} pairs or more are needed to find a knock of 20 um surely, 20 find half of them"
 
 
@@ -210,8 +211,12 @@ def show_moves(screen: Console, found: Moves, pairs: Sequence[str], scenes: int 
         between = f"between the pairs {pairs[knock.before]} and {pairs[knock.after]}"
         is_followed = scenes and any(path.name in knock.names for path in found.moving)
         said.append(KNOCKED.format(what, between, "" if is_followed else CALIBRATE.format(pairs[knock.after])))
-    for path in found.drifting:
-        said.append(DRIFTED.format(path.name, *(1e3 * path.position[-1]), *(1e3 * path.sigma[-1])))
+    if drift := found.drifting:
+        by = [*(1e3 * drift[0].position[-1, :3]), *(1e3 * drift[0].sigma[-1, :3])]
+        is_ball = drift[0].name.startswith(BALL)
+        said.append(
+            DRIFTED.format(" or ".join(one.name for one in drift), DRIFT_UM.format(*by) if is_ball else "")
+        )
     if scenes and found.moving:
         said.append(f"pairs are corrected with {scenes} scenes, that of the first pair as calibrated")
     for line in said:

@@ -39,6 +39,7 @@ def live(
     port: Port = 0,
     shows: Literal["chessboard", "particles", "flow"] = "chessboard",
     for_s: Positive | None = None,
+    camera: str = CAMERA,
 ) -> int:
     """Show what the camera sees until Ctrl-C.
 
@@ -58,6 +59,8 @@ def live(
         Object in view, which selects the displayed figures.
     for_s : float, optional
         Stop after this time.
+    camera : str
+        Name of the camera, where the bench has several; each has a page of its own, in a terminal of its own.
 
     Returns
     -------
@@ -66,12 +69,14 @@ def live(
 
     Raises
     ------
+    PlanError
+        The bench has no such camera.
     CameraError
         The camera is not there, or gives no frame.
     PageError
         The page cannot be shown.
     """
-    screen, loaded = console(), load_bench(bench)
+    screen, loaded = console(), load_bench(bench).as_seen_by(camera)
     height, width = loaded.scene.camera.shape
     believed = loaded.scene if scene is None else load_scene(Path(scene))
     with ExitStack() as stack:
@@ -82,7 +87,8 @@ def live(
         corrector = _corrector(believed) if correct else None
         shown = None if corrector is None else _through(believed, corrector)
         page.say("opening the camera")
-        hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
+        opened = stack.enter_context(open_bench(load_bench(bench), simulate, shows, only={camera}))
+        hardware = opened.as_seen_by(camera)
         exposures = CameraSession(hardware.camera, hardware.camera_section, rendering_s=hardware.rendering_s)
         exposures.set_up()
         if hardware.simulation is not None:  # its axes begin where they were switched off; no stage is opened

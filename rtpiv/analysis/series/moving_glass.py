@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import grid_of
-from correction.self_check.drift import BallPath, follow_balls
+from correction.self_check.drift import CandidatePath, drifting, follow
 from correction.self_check.knocks import Knock, find_knock, min_pairs
 from piv.errors import PairError
 from rtpiv.analysis.series.series_input import SeriesInput
@@ -34,23 +34,24 @@ class Moves:
     ----------
     knock : Knock or None
         The clearest knock.
-    paths : tuple of BallPath
-        Of all balls that the views share.
+    paths : tuple of CandidatePath
+        Of everything that may move.
     """
 
     knock: Knock | None
-    paths: tuple[BallPath, ...]
+    paths: tuple[CandidatePath, ...]
 
     @property
-    def drifting(self) -> tuple[BallPath, ...]:
-        """Balls that drift by more than chance."""
-        return tuple(path for path in self.paths if path.drifts)
+    def drifting(self) -> list[CandidatePath]:
+        """Things that drift, the most likely first."""
+        return drifting(self.paths)
 
     @property
-    def moving(self) -> tuple[BallPath, ...]:
-        """Balls that drift, and the one that was knocked if nothing else explains the knock."""
-        named = () if self.knock is None or len(self.knock.names) > 1 else self.knock.names
-        return tuple(path for path in self.paths if path.drifts or path.name in named)
+    def moving(self) -> list[CandidatePath]:
+        """Balls that were knocked or drift, if nothing else explains it."""
+        drift = [path.name for path in self.drifting]
+        named = [names[0] for names in (self.knock.names if self.knock else (), drift) if len(names) == 1]
+        return [path for path in self.paths if path.name in named and path.name.startswith(BALL)]
 
 
 def find_moves(series: Sequence[SeriesInput]) -> Moves:
@@ -72,10 +73,7 @@ def find_moves(series: Sequence[SeriesInput]) -> Moves:
         raise PairError(f"--knocks and --follow need {least} pairs or more, not {pairs}")
     disparity = disparities_of(series, pairs)
     knock = find_knock(disparity, candidates)
-    balls = [one for one in candidates if one.name.startswith(BALL)]
-    others = [one for one in candidates if not one.name.startswith(BALL)]
-    paths = follow_balls(disparity, balls, others, [] if knock is None else [knock.after])
-    return Moves(knock, tuple(paths))
+    return Moves(knock, tuple(follow(disparity, candidates, None if knock is None else knock.after)))
 
 
 def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[SeriesInput], int]:

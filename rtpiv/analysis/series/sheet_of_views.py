@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.light_sheet.two_cameras import POSE_SIGMA, SheetByViews, fit_sheet, name_moved
-from correction.maps.slant import vector_slopes
+from correction.maps.slant import SLOPE_NODE_STEP, WindowMeans, vector_slopes
 from correction.self_check.knocks import Candidate
 from correction.self_check.moved_sphere import MOVE_PRIOR_MM
 from daq.atomic_write import write_text
@@ -83,15 +83,19 @@ def _slopes(series: SeriesInput) -> Floats:
 
 
 def position_rates(series: SeriesInput, names: Sequence[str]) -> Floats:
-    """Return the derivatives (N, 2, P) of the places that windows show by numbers of the scene."""
-    found = correction_of(series.out / "maps", series.method).corrector.map
-    windows = series.method.settings.result_grid(found.grid.shape)
-    pixels = found.pixel[0][np.ix_(*(np.rint(axis).astype(int) for axis in (windows.y_px, windows.x_px)))]
+    """Return the derivatives (N, 2, P) of the places that windows show by numbers of the scene, means of windows.
+
+    Across the rim of a ball they jump, by as much as they are.
+    """
+    method, found = series.method, correction_of(series.out / "maps", series.method).corrector.map
+    pixels = found.pixel[0][::SLOPE_NODE_STEP, ::SLOPE_NODE_STEP]
     seen = np.isfinite(pixels).all(axis=-1)
-    rates = np.full((*pixels.shape, len(names)), np.nan)
-    rays = landings(series.method.scene, pixels[seen].astype(np.float64))
-    rates[seen] = rays.columns(names)
-    return rates.reshape(-1, 2, len(names))
+    rates = np.full((*seen.shape, 2 * len(names)), np.nan)
+    rays = landings(method.scene, pixels[seen].astype(np.float64))
+    rates[seen] = rays.columns(names).reshape(-1, 2 * len(names))
+    windows = method.settings.result_grid(found.grid.shape)
+    means = WindowMeans(windows, method.settings.window_sigma, found.grid.shape).of(rates)
+    return means.reshape(-1, 2, len(names))
 
 
 def _of_poses(series: Sequence[SeriesInput]) -> list[Floats]:

@@ -1,11 +1,14 @@
 """`rtpiv bench live --simulate`: the simulated axes stand where the correction is for, and the page shows it."""
 
+import re
+
 import numpy as np
 
 from daq.bench.bench_file import load_bench
 from daq.live.live_page import LivePage
 from rtpiv.verbs.live import live
 from sim.bench import SimulatedBench
+from tests.daq.runner.test_two_cameras import write_two
 from tests.daq.small_bench import write_bench
 
 SIDE_PX = 252
@@ -42,3 +45,16 @@ def test_the_page_of_a_simulated_bench_shows_its_board_as_without_glass(tmp_path
         simulation.close()
     assert likeness(pictures["raw"], clear) < 0.7
     assert likeness(pictures["corrected"], clear) > 0.8  # squares of five pixels, blurred
+
+
+def test_another_camera_of_the_bench_is_shown(tmp_path, monkeypatch):
+    shapes = []
+    monkeypatch.setattr(LivePage, "show", lambda self, words, pictures: shapes.append(pictures["raw"].shape))
+    path, _ = write_two(tmp_path)
+    free = re.sub(r"settings: {.*}", "settings: {AcquisitionFrameRate: 5.0, TriggerMode: 'Off'}", path.read_text())
+    free = re.sub(r" +pairs: {shape.*\n", "", free)
+    path.write_text(free.replace("samples: 1\n", "samples: 1\n  camera_transport: memory\n"))
+    for name, columns in (("camera", 0), ("behind", 16)):
+        live(path, simulate=True, correct=False, for_s=0.1, camera=name)
+        height, width = shapes[-1]
+        assert height - width == columns
