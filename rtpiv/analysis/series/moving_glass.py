@@ -17,7 +17,8 @@ from correction.self_check.knocks import Knock, find_knock, min_pairs
 from piv.errors import PairError
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.sheet_of_views import BALL, candidates_of, disparities_of, position_rates
-from tracer.bodies import translate_by
+from tracer.bodies import Sphere, translate_by
+from tracer.bodies.body import vector3
 from tracer.scene.scene import Scene
 
 FOLLOW_LIMIT_PX = 0.02  # change of the places that a map shows, but for rims, from which a pair gets another map
@@ -96,10 +97,10 @@ def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[Seri
     path = np.concatenate([one.position for one in moves.moving], axis=-1)
     names = [one.name.removeprefix(BALL) for one in moves.moving]
     rates = [_largest_rates(each, names) for each in series]
-    at = _steps(path, np.max(rates, axis=0))
+    at = applied_steps(path, np.max(rates, axis=0))
     found = [
         replace(each, given=replace(each.given, pairs=tuple(
-            pair if not step.any() else replace(pair, scene=_moved(each.method.scene, names, step))
+            pair if not step.any() else replace(pair, scene=move_balls(each.method.scene, names, step))
             for pair, step in zip(each.given.pairs, at, strict=True)
         )))
         for each in series
@@ -107,7 +108,7 @@ def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[Seri
     return found, len(np.unique(at, axis=0))
 
 
-def _steps(path: Floats, px_per_mm: Floats) -> Floats:
+def applied_steps(path: Floats, px_per_mm: Floats) -> Floats:
     """Moves (K, P) that are applied: those of the last pair at which they had changed by the limit."""
     applied, now = np.zeros_like(path), np.zeros(path.shape[1])
     for number, place in enumerate(path):
@@ -128,9 +129,16 @@ def _largest_rates(series: SeriesInput, names: Sequence[str]) -> Floats:
     return np.asarray(largest / (method.grid or grid_of(method.scene.camera)).pitch_mm)
 
 
-def _moved(scene: Scene, names: Sequence[str], step_mm: Floats) -> Scene:
-    """Return the scene with its balls moved by (3 a ball)."""
-    by = {name: tuple(map(float, step_mm[3 * k : 3 * k + 3])) for k, name in enumerate(names)}
-    return scene.with_bodies(
-        [body.moved(translate_by(by[body.name])) if body.name in by else body for body in scene.bodies]
-    )
+def move_balls(scene: Scene, names: Sequence[str], step_mm: Floats) -> Scene:
+    """Return the scene with its balls moved by (3 a ball), those that touch beside each other and not into it."""
+    bodies = {body.name: body for body in scene.bodies}
+    for k, name in enumerate(names):
+        ball = bodies[name].moved(translate_by(vector3(step_mm[3 * k : 3 * k + 3])))
+        for other in bodies.values():
+            if isinstance(ball, Sphere) and isinstance(other, Sphere) and other.name != name:
+                away = np.subtract(ball.centre_mm, other.centre_mm)
+                apart = float(np.linalg.norm(away))
+                if apart < (touching := ball.radius_mm + other.radius_mm):
+                    ball = ball.moved(translate_by(vector3((touching / apart - 1.0) * away)))
+        bodies[name] = ball
+    return scene.with_bodies(list(bodies.values()))
