@@ -8,7 +8,8 @@ all likely paths of one.  The cosine transform (DCT-II) of K pairs has independe
 
 with r the variance of the noise and lambda that of a step over r.  lambda is the one of greatest likelihood; the
 path is c_j lambda g_j/(1 + lambda g_j), of variance r lambda g_j/(1 + lambda g_j), counted from the first pair.
-Before and after a knock stand paths of their own, with r and lambda in common.
+Before and after a knock stand paths of their own, with r and lambda in common; a knock by which the path after it
+does not begin elsewhere than the one before it ends is a fast drift.
 
 **Alarm.**  If nothing drifts, twice the logarithm of the likelihood over that of lambda = 0 exceeds x with a
 probability of at most half of P(chi^2_1 > x): 20 000 runs of 18 to 1000 pairs, normal noise and Student's with 5
@@ -21,6 +22,7 @@ balls in a row, at 0 and 15 degrees, with two cameras unknown a ball scatters by
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -49,6 +51,8 @@ class CandidatePath:
         Of as clear a drift by chance, of anything.
     explained : float
         How much of the change of the disparity it explains, in its scatter.
+    jump_chance : float
+        Probability by chance of as large a jump at the knock; 1 without one.
     """
 
     name: str
@@ -56,6 +60,7 @@ class CandidatePath:
     sigma: Floats
     probability: float
     explained: float
+    jump_chance: float = 1.0
 
 
 def follow(
@@ -94,14 +99,21 @@ def follow(
         follower = Follower.of(one, white)
         positions = follower.positions(white.values)[pairs]
         path, sigma, gain = (np.zeros((len(disparity), len(one.prior))) for _ in range(3))
+        jump = np.zeros(len(one.prior))
         for k, values in enumerate(positions.T):
             segments, gain[:, k] = _smooth([values[part] for part in parts])
-            place, unsure = (np.concatenate(some) for some in zip(*segments, strict=True))
+            place, unsure = (
+                np.concatenate([getattr(some, name) for some in segments]) for name in ("path", "sigma")
+            )
+            for before, after in pairwise(segments):
+                variance = before.ends[1] + after.ends[0]
+                jump[k] = np.square(after.path[0] - before.path[-1]) / max(variance, 1e-30)
             path[:, k] = np.interp(every, pairs, place - place[0])
             sigma[:, k] = np.interp(every, pairs, unsure)
         chance = 0.5 * size * float(scipy.special.chdtrc(1.0, gain.max()))
         explained = follower.explanation(change)
-        found.append(CandidatePath(one.name, path, sigma, min(chance, 1.0), explained))
+        by_chance = float(scipy.special.chdtrc(len(jump), jump.sum()))
+        found.append(CandidatePath(one.name, path, sigma, min(chance, 1.0), explained, by_chance))
     return found
 
 
@@ -113,28 +125,37 @@ def drifting(paths: Sequence[CandidatePath]) -> list[CandidatePath]:
     return [path for path in likely if path.explained >= AS_GOOD * likely[0].explained]
 
 
-def _smooth(parts: Sequence[Floats]) -> tuple[list[tuple[Floats, Floats]], float]:
+class _Stretch(NamedTuple):
+    """Path of a part of the run, its uncertainty from the first pair of all, and the variances of its two ends."""
+
+    path: Floats
+    sigma: Floats
+    ends: tuple[float, float]
+
+
+def _smooth(parts: Sequence[Floats]) -> tuple[list[_Stretch], float]:
     """Path of each part with its uncertainty from the first pair of all; twice the gain in log likelihood."""
     modes = [scipy.fft.dct(part, norm="ortho") for part in parts]
     growth = [0.25 / np.square(np.sin(0.5 * np.pi * np.arange(1, len(part)) / len(part))) for part in parts]
     square, g = np.square(np.concatenate([c[1:] for c in modes])), np.concatenate(growth)
     if not square.size:
-        return [(part, np.zeros_like(part)) for part in parts], 0.0
+        return [_Stretch(part, np.zeros_like(part), (0.0, 0.0)) for part in parts], 0.0
     wide = 1.0 + RATES[:, None] * g
     noise = np.maximum((square / wide).mean(axis=-1), 1e-30)
     likely = -0.5 * (square.size * np.log(noise) + np.log(wide).sum(axis=-1))
     best = int(np.argmax(likely))
     rate, r = RATES[best], noise[best]
-    found, start = list[tuple[Floats, Floats]](), 0.0
+    found, start = list[_Stretch](), 0.0
     for number, (c, of_part) in enumerate(zip(modes, growth, strict=True)):
         kept = rate * of_part / (1.0 + rate * of_part)
         path = scipy.fft.idct(np.concatenate((c[:1], kept * c[1:])), norm="ortho")
         waves = scipy.fft.idct(np.eye(len(c)), norm="ortho", axis=0)  # (pairs, modes)
         variance = np.concatenate(([r], r * kept))
+        ends = float(np.square(waves[0]) @ variance), float(np.square(waves[-1]) @ variance)
         if number == 0:
-            start, waves = float(np.square(waves[0]) @ variance), waves - waves[0]
+            start, waves = ends[0], waves - waves[0]
             spread = np.square(waves) @ variance
         else:  # another stretch: independent of the first
             spread = start + np.square(waves) @ variance
-        found.append((path, np.sqrt(spread)))
+        found.append(_Stretch(path, np.sqrt(spread), ends))
     return found, 2.0 * float(likely[best] - likely[0])

@@ -50,6 +50,13 @@ def test_a_knock_is_no_drift_where_its_pair_is_given():
     off = paths[1].position[:, :2] - knock[:, :2]
     np.testing.assert_allclose(off[25:].mean(axis=0), off[:25].mean(axis=0), atol=0.004)
     assert drifting(followed(3, knock))
+    assert paths[1].jump_chance < 1e-3
+
+
+def test_a_fast_drift_is_no_knock():
+    fast = path(np.linspace(0.0, 1.0, PAIRS), 0.08)
+    for seed in range(6):
+        assert followed(seed, fast, knocked_at=30)[1].jump_chance > 1e-3
 
 
 def test_pairs_and_places_that_show_nothing_attenuate_no_drift():
