@@ -6,6 +6,7 @@ RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME = 0, 1, 2, 3, 4  # as kernels see th
 LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = 5, 6, 7, 8
 UNLISTED, UNCONFIRMED, LEFT_OUT = 9, 10, 11  # what a scene masks, and no view brings back
 DARK, OVERLIT = 12, 13
+EDGE = 14
 
 
 class NodeStatus(IntEnum):
@@ -25,6 +26,7 @@ class NodeStatus(IntEnum):
     LEFT_OUT = LEFT_OUT  # a person wants it so
     DARK = DARK  # bodies keep the light of the sheet away
     OVERLIT = OVERLIT  # bodies focus the light of the sheet there
+    EDGE = EDGE  # behind a body with flat faces, and no pixel shows it
 
 
 MEANING = {
@@ -42,4 +44,5 @@ MEANING = {
     NodeStatus.LEFT_OUT: "left out by hand",
     NodeStatus.DARK: "too little light of the sheet",
     NodeStatus.OVERLIT: "light of the sheet focused there",
+    NodeStatus.EDGE: "hidden by the edges of a body",
 }

@@ -24,6 +24,7 @@ from correction.fit.seen.prediction import MIN_VIEW_SQUARE_PX, expect, square_be
 from correction.fit.seen.silhouettes import find_outlines, follow_outlines
 from correction.fit.solve.unknowns import Unknowns
 from correction.target.turned_frame import turn_between
+from tracer.bodies import Block
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
@@ -48,7 +49,15 @@ def find_glass(work: Progress) -> None:
     prefixes = [f"{sphere.name}." for sphere in work.unknowns.scene.spheres] + ["glass "]
     prefixes += [f"{body.name}." for body, _ in work.unknowns.other_bodies.bodies if not body.stays]
     unknowns = work.unknowns.around(work.full).only(prefixes)
-    coarse = unknowns.only([f"{s.name}.{part}" for s in unknowns.scene.spheres for part in "xyz"] + ["glass "])
+    places = [f"{body.name}.{part}" for body in unknowns.scene.spheres for part in "xyz"]
+    places += [
+        f"{body.name}.{number.name}"
+        for body, numbers in work.unknowns.other_bodies.bodies
+        if isinstance(body, Block) and not body.stays
+        for number in numbers
+        if number.known in ("place_mm", "tilt_deg")
+    ]
+    coarse = unknowns.only([*places, "glass "])
     candidates = _candidates(work, coarse, work.glass_frames[0])
     _refuse_undisturbed(work, work.glass_frames[0], candidates)
     _pair(work, coarse, candidates)
@@ -104,15 +113,16 @@ def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candida
 def _refuse_undisturbed(work: Progress, frame: TargetFrame, candidates: Candidates) -> None:
     """Refuse a frame in which the lattice goes on undisturbed where the glass should be."""
     inside, undisturbed = candidates.inside, candidates.inside & candidates.bare
+    what = "spheres" if work.unknowns.scene.spheres else "glass"
     if np.count_nonzero(inside) < MIN_GLASS_CORNERS:
         raise GlassNotSeen(
-            f"{frame.name}: only {np.count_nonzero(inside)} corners where the spheres should be,"
-            f" {MIN_GLASS_CORNERS} are needed; check light, focus and the spheres of the scene, or use smaller"
+            f"{frame.name}: only {np.count_nonzero(inside)} corners where the {what} should be,"
+            f" {MIN_GLASS_CORNERS} are needed; check light, focus and the {what} of the scene, or use smaller"
             " squares"
         )
     if undisturbed.sum() > UNDISTURBED * inside.sum():
         raise GlassNotSeen(
-            f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the spheres should"
+            f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the {what} should"
             " be lie on the bare lattice; give a frame that shows the target through the glass, or correct the"
             " scene"
         )

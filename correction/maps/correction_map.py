@@ -52,7 +52,7 @@ from ground.memory import require_memory
 from ground.program_code import code_digest
 from ground.rows import run_rows
 from ground.short_repr import short_repr
-from tracer.bodies import CONTACT_TOL_MM, Capsule
+from tracer.bodies import CONTACT_TOL_MM, Block, Capsule
 from tracer.scene.scene import Scene, SceneBound
 from tracer.strategies.branches import Branch, Numbers
 from tracer.strategies.ray_map import RayHeader, RayMap
@@ -368,7 +368,7 @@ def build_correction_map(
         scene_hash=ray_map.scene_hash,
         made_by="",
     )
-    return _outside_outlines(_outside_glass(found, scene), scene)
+    return _outside_outlines(_beside_edges(_outside_glass(found, scene), scene), scene)
 
 
 def _outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
@@ -388,6 +388,21 @@ def nodes_in_glass(scene: Scene, grid: PlaneGrid) -> NDArray[np.bool_] | None:
         places = np.concatenate((nodes_mm[part], np.zeros((*inside[part].shape, 1))), axis=-1)
         inside[part] |= body.distance_mm(places) < 0.0
     return inside
+
+
+def _beside_edges(found: CorrectionMap, scene: Scene) -> CorrectionMap:
+    """Return the map with nodes that no pixel shows behind blocks as hidden by their edges; the same map without.
+
+    Flat faces have no folds: where nothing round stands, a node whose solution leaves its faces is at an edge too.
+    """
+    blocks = Block.among(scene.seen)
+    reasons = [NodeStatus.RIM] + [NodeStatus.FOLD] * (len(blocks) == len(scene.seen))
+    for block in blocks:
+        lost = np.isin(found.status, reasons)
+        nodes_mm = np.column_stack((found.grid.nodes_mm()[lost], np.zeros(np.count_nonzero(lost))))
+        lost[lost] = block.stands_before(scene.camera.position_mm, nodes_mm)
+        found = replace(found, status=np.where(lost, np.uint8(NodeStatus.EDGE), found.status))
+    return found
 
 
 def _outside_outlines(found: CorrectionMap, scene: Scene) -> CorrectionMap:

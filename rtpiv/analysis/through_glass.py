@@ -24,7 +24,7 @@ from correction.grid import PlaneGrid
 from correction.maps.correction_map import CorrectionMap, build_correction_map, nodes_in_glass
 from correction.node_status import NodeStatus
 from rtpiv.analysis.kernels.behind import mark_behind
-from tracer.bodies import Body, Sphere
+from tracer.bodies import Block, Body, Sphere
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
@@ -156,7 +156,7 @@ def behind(bodies: Iterable[Body], scene: Scene, grid: PlaneGrid, window: Window
     Parameters
     ----------
     bodies : iterable of Body
-        Taken as opaque, and as the capsules around them.
+        Taken as opaque, and as the capsules around them; blocks as they are.
     scene : Scene
         Whose camera looks.
     grid : PlaneGrid
@@ -174,9 +174,16 @@ def behind(bodies: Iterable[Body], scene: Scene, grid: PlaneGrid, window: Window
     pinhole = np.array(scene.camera.position_mm)
     for body in bodies:
         (first, last), (west, east) = clip_window(reach(body, scene, grid), window)
-        start, end, radius_mm = body.capsule
         part = np.ascontiguousarray(marks[first - top : last - top, west - left : east - left])
-        mark_behind(np.array([first, west]), frame, pinhole, np.array([*start, *end, radius_mm]), part)
+        if isinstance(body, Block):
+            columns, rows = np.meshgrid(np.arange(west, east), np.arange(first, last))
+            nodes_mm = np.stack(
+                (*(frame[:2, None, None] + frame[2] * np.stack((columns, -rows))), 0.0 * rows), axis=-1
+            )
+            part |= body.stands_before(scene.camera.position_mm, nodes_mm)
+        else:
+            start, end, radius_mm = body.capsule
+            mark_behind(np.array([first, west]), frame, pinhole, np.array([*start, *end, radius_mm]), part)
         marks[first - top : last - top, west - left : east - left] = part
     return marks
 
@@ -303,7 +310,7 @@ def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
     shown = dict.fromkeys((body.name for body in scene.seen), 0.0)
     for area, branch in zip(by_branch.tolist(), correction_map.branches, strict=True):
         for body in scene.seen if area else ():
-            if not set(body.event_names).isdisjoint(branch):
+            if body.is_on(branch):
                 shown[body.name] += area
     direct_mm2 = float(by_branch[0])
     return PlaneShare(

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sim.renderer.kernels.surfaces import SOLID
 from sim.renderer.kernels.uneven import LOWEST, UNEVEN
-from sim.renderer.kernels.walls import DOME, TUBE, WINDOW
-from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
+from sim.renderer.kernels.walls import DOME, TRIANGLE, TUBE, WINDOW
+from tracer.bodies import Block, Body, Box, Dome, Prism, Rod, Sphere, Tube, Window
 from tracer.harmonics import HIGHEST, TERMS
 from tracer.media import Medium
 from tracer.scene.scene import Scene
@@ -46,13 +46,13 @@ class Wall(NamedTuple):
         (wall, point) -> how deep inside of it the point lies [mm], how large its inside is, and what is in it.
     outside_mm : callable
         wall -> a point of its outside: its middle may be in what it holds.
-    place : callable
-        wall -> the first ten numbers of its row, from KIND to INNER, and the last three, INSIDE_AT.
+    places : callable
+        wall -> of each of its rows the first ten numbers, from KIND to INNER, and the last three, INSIDE_AT.
     """
 
     inside: Callable[[Any, NDArray[np.float64]], tuple[float, float, Medium | None]]
     outside_mm: Callable[[Any], NDArray[np.float64]]
-    place: Callable[[Any], tuple[list[float], list[float]]]
+    places: Callable[[Any], list[tuple[list[float], list[float]]]]
 
 
 def _in_window(wall: Window, point_mm: NDArray[np.float64]) -> tuple[float, float, Medium | None]:
@@ -83,26 +83,68 @@ def _on_dome(wall: Dome) -> NDArray[np.float64]:
     return np.asarray(np.array(wall.centre_mm) + wall.outer_radius_mm * np.array(wall.axis))
 
 
-def _place_window(wall: Window) -> tuple[list[float], list[float]]:
-    return [WINDOW, *wall.centre_mm, *wall.normal, wall.thickness_mm, wall.radius_mm, 0.0], [0.0, 0.0, 0.0]
+def _place_window(wall: Window) -> list[tuple[list[float], list[float]]]:
+    return [([WINDOW, *wall.centre_mm, *wall.normal, wall.thickness_mm, wall.radius_mm, 0.0], [0.0, 0.0, 0.0])]
 
 
-def _place_tube(wall: Tube) -> tuple[list[float], list[float]]:
+def _place_tube(wall: Tube) -> list[tuple[list[float], list[float]]]:
     start, end = np.array(wall.start_mm), np.array(wall.end_mm)
     length = float(np.linalg.norm(end - start))
     place = [TUBE, *start.tolist(), *((end - start) / length).tolist(), length]
-    return [*place, wall.outer_radius_mm, wall.inner_radius_mm], [0.0, 0.0, 0.0]
+    return [([*place, wall.outer_radius_mm, wall.inner_radius_mm], [0.0, 0.0, 0.0])]
 
 
-def _place_dome(wall: Dome) -> tuple[list[float], list[float]]:
+def _place_dome(wall: Dome) -> list[tuple[list[float], list[float]]]:
     place = [DOME, *wall.centre_mm, *wall.axis, float(np.deg2rad(wall.half_angle_deg))]
-    return [*place, wall.outer_radius_mm, wall.inner_radius_mm], [*wall.inside_mm]
+    return [([*place, wall.outer_radius_mm, wall.inner_radius_mm], [*wall.inside_mm])]
+
+
+def _polygons(block: Block, depth_mm: float) -> list[NDArray[np.float64]]:
+    """Corners of each face (K, 3) in the world, counterclockwise from outside, all faces moved in by a depth.
+
+    A corner of a moved profile is where two moved sides cross: p + depth (a + b) / (1 + a . b) with their inward
+    normals a and b.
+    """
+    profile, half = np.array(block.profile_mm), 0.5 * block.length_mm - depth_mm
+    way = np.roll(profile, -1, axis=0) - profile
+    inward = np.stack((-way[:, 1], way[:, 0]), axis=1) / np.hypot(*way.T)[:, None]
+    before = np.roll(inward, 1, axis=0)
+    shrunk = profile + depth_mm * (inward + before) / (1.0 + (inward * before).sum(axis=1))[:, None]
+    back, front = (np.column_stack((shrunk, np.full(len(shrunk), z))) for z in (-half, half))
+    sides = [np.array([back[k - 1], back[k], front[k], front[k - 1]]) for k in range(len(shrunk))]
+    return [own @ np.array(block.rotation) + np.array(block.centre_mm) for own in (*sides, back[::-1], front)]
+
+
+def _place_block(wall: Block) -> list[tuple[list[float], list[float]]]:
+    """Rows of the triangles of all faces, each about the middle of its face; see `sim.renderer.kernels.walls`."""
+    rows = []
+    for is_inner, depth_mm in enumerate((0.0, wall.wall_mm) if wall.wall_mm > 0.0 else (0.0,)):
+        for corners in _polygons(wall, depth_mm):
+            middle = corners.mean(axis=0)
+            for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                a, b = one - middle, other - middle
+                height = np.linalg.norm(np.cross(a, b)) / np.linalg.norm(b - a)
+                place = [TRIANGLE, *middle.tolist(), *a.tolist(), *b.tolist()]
+                rows.append((place, [float(wall.edge_mm / height), float(is_inner), 0.0]))
+    return rows
+
+
+def _in_block(wall: Block, point_mm: NDArray[np.float64]) -> tuple[float, float, Medium | None]:
+    if wall.wall_mm == 0.0:
+        return -1.0, 0.0, None
+    heights = []
+    for corners in _polygons(wall, wall.wall_mm):
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        heights.append(float((corners[0] - point_mm) @ normal / np.linalg.norm(normal)))
+    return min(heights), wall.length_mm, wall.filled
 
 
 WALLS: dict[type[Body], Wall] = {
     Window: Wall(_in_window, lambda wall: np.array(wall.centre_mm), _place_window),
     Tube: Wall(_in_tube, _on_tube, _place_tube),
     Dome: Wall(_in_dome, _on_dome, _place_dome),
+    Box: Wall(_in_block, lambda wall: _polygons(wall, 0.0)[-1].mean(axis=0), _place_block),
+    Prism: Wall(_in_block, lambda wall: _polygons(wall, 0.0)[-1].mean(axis=0), _place_block),
 }
 
 
@@ -119,7 +161,7 @@ def n_at(scene: Scene, point_mm: NDArray[np.float64], but: Body | None = None) -
 
 
 def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
-    """Rows of windows, tubes and domes as `sim.renderer.kernels.walls` reads them, with indices / n_ambient."""
+    """Rows of all walls as `sim.renderer.kernels.walls` reads them, with indices / n_ambient."""
     air, nm = scene.ambient.n(scene.wavelength_nm), scene.wavelength_nm
     rows = []
     for wall in walls:
@@ -127,8 +169,8 @@ def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
         around = n_at(scene, kind.outside_mm(wall), wall)
         (_, glass), *held = wall.media
         beyond = held[0][1].n(nm) if held else around
-        place, inside_at = kind.place(wall)
-        rows.append([*place, around / air, glass.n(nm) / air, beyond / air, *inside_at])
+        for place, inside_at in kind.places(wall):
+            rows.append([*place, around / air, glass.n(nm) / air, beyond / air, *inside_at])
     return rows
 
 

@@ -8,25 +8,26 @@ it: that is what makes watching cheap.
 
 Shapes are those of the bench file: bodies are capsules (a sphere is one without length), the camera is a capsule
 along its axis, the target a box behind z = 0; a window is a raft of capsules as thick as it, a tube a ring of
-them, and what the bench carries stands. The scene is the file's: that a simulated bench is built a few tenths of a
-millimetre off it is not held against the user of the file.
+them, a block lines across its faces, and what the bench carries stands. The scene is the file's: that a simulated
+bench is built a few tenths of a millimetre off it is not held against the user of the file.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from sim.witness.distances import Point, along, least, plus, segment_to_box, segment_to_segment
-from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
+from tracer.bodies import Block, Body, Box, Dome, Prism, Rod, Sphere, Tube, Window
 
 if TYPE_CHECKING:  # names alone: a watcher without a scene does not wait for scipy and numba
     from daq.bench.keep_out import KeepOutTable
     from tracer.scene.scene import Scene
 
 ELEMENTS = ("camera", "glass", "bench", "target")
+LINES_MM = 2.0  # between lines on a face: 0.1 mm of a distance of 5 mm
 CONTACT_MM = 0.025  # by which bodies named in `contact` may overlap the target, as docs/files.md says
 
 
@@ -251,6 +252,38 @@ def _ring(tube: Tube) -> list[_Capsule]:
     return found
 
 
+def _faces(block: Block) -> list[_Capsule]:
+    """Lines across all faces of a block, LINES_MM apart at most, and along its edges.
+
+    A face is cut at its first corner and the one opposite into two chains; a line joins points of the same share.
+    """
+    points = [(float(x), float(y), float(z)) for x, y, z in block.corners_mm]
+    count = len(points) // 2
+    back, front = points[:count], points[count:]
+    rings = [[back[k - 1], back[k], front[k], front[k - 1]] for k in range(count)] + [back, front]
+    found = []
+    for ring in rings:
+        middle = len(ring) // 2
+        chains = ring[: middle + 1], [ring[0], *ring[: middle - 1 : -1]]
+        length_mm = max(sum(math.dist(*step) for step in pairwise(chain)) for chain in chains)
+        steps = max(2, math.ceil(length_mm / LINES_MM))
+        ends = ([_on_chain(chain, step / steps) for step in range(steps + 1)] for chain in chains)
+        found += [_Capsule(block.name, one, other, 0.0) for one, other in zip(*ends, strict=True)]
+        found += [_Capsule(block.name, *step, 0.0) for step in pairwise((*ring, ring[0]))]
+    return found
+
+
+def _on_chain(chain: list[Point], share: float) -> Point:
+    """Point of a chain of points at a share of its length."""
+    left_mm = share * sum(math.dist(*step) for step in pairwise(chain))
+    for one, other in pairwise(chain):
+        length_mm = math.dist(one, other)
+        if left_mm <= length_mm:
+            return along(one, other, left_mm / length_mm)
+        left_mm -= length_mm
+    return chain[-1]
+
+
 def _times(factor: float, vector: Point) -> Point:
     return (factor * vector[0], factor * vector[1], factor * vector[2])
 
@@ -300,4 +333,6 @@ CAPSULES: dict[type[Body], Callable[[Any], list[_Capsule]]] = {
     Dome: lambda dome: [_Capsule(dome.name, dome.centre_mm, dome.centre_mm, dome.outer_radius_mm)],
     Window: _raft,
     Tube: _ring,
+    Box: _faces,
+    Prism: _faces,
 }

@@ -143,7 +143,7 @@ BROKEN = {
         "kind: rod",
         "kind: cone",
         15,
-        "bodies.post.kind: should be one of 'sphere', 'rod', 'window', 'tube', 'dome', 'mesh', not 'cone'",
+        "kind: should be one of 'sphere', 'rod', 'window', 'tube', 'dome', 'mesh', 'box', 'prism', not 'cone'",
     ),
     "kind in capitals": ("kind: rod", "kind: Rod", 15, "did you mean 'rod'?"),
     "no kind": ("kind: rod, ", "", 15, "bodies.post: key 'kind' is missing"),

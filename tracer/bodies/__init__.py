@@ -4,6 +4,7 @@ One file a kind, and its class in KINDS: ``docs/add-a-body.md``.  Scenes without
 place in KINDS is part of a scene's content hash: new kinds come last.
 """
 
+from tracer.bodies.block import Block, Box, Prism
 from tracer.bodies.body import (
     CONTACT_TOL_MM,
     Body,
@@ -24,13 +25,15 @@ from tracer.bodies.sphere import Core, Sphere
 from tracer.bodies.tube import Tube
 from tracer.bodies.window import Window
 
-KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube, Dome, Mesh)
+KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube, Dome, Mesh, Block)
 
 __all__ = [
     "CONTACT_TOL_MM",
     "KINDS",
+    "Block",
     "Body",
     "BodySection",
+    "Box",
     "Capsule",
     "Carrier",
     "Core",
@@ -39,6 +42,7 @@ __all__ = [
     "Mesh",
     "Number",
     "Piece",
+    "Prism",
     "Rod",
     "Room",
     "Sphere",

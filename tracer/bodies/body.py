@@ -219,6 +219,15 @@ class Body(ABC):
         """Names of all ways through the body, as branches have them."""
         return (self.name,)
 
+    def is_on(self, branch: Iterable[str]) -> bool:
+        """Return whether a branch goes through the body, on whatever way."""
+        return not set(self.event_names).isdisjoint(branch)
+
+    @property
+    def face_names(self) -> tuple[str, ...]:
+        """Names of the flat faces that a branch names after the body; empty for a round body."""
+        return ()
+
     @property
     def may_cross_plane(self) -> bool:
         """Return whether the body may reach through the investigation plane."""

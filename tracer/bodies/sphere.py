@@ -275,10 +275,6 @@ class Sphere(Body):
         """Names of all ways through the sphere."""
         return tuple(self.event_name(way) for way in range(2 * len(self.cores) + 1))
 
-    def is_on(self, branch: Iterable[str]) -> bool:
-        """Return whether a branch goes through the sphere, on whatever way."""
-        return not set(self.event_names).isdisjoint(branch)
-
     def event_name(self, way: int) -> str:
         """Name of a way through the sphere, as ``tracer.kernels.sphere`` counts them: the part of a branch.
 

@@ -52,7 +52,9 @@ from tracer.kernels.sphere import (
 from tracer.kernels.vectors import Vector, add, dot, subtract, vector_at
 from tracer.kernels.world import (
     BLOCKED,
+    EDGE,
     ENTERED,
+    FATES,
     IN_GLASS,
     MISSED_PLANE,
     OFF_INSIDE,
@@ -204,13 +206,14 @@ def trace_ray(
                 index = rooms.n[room]  # before the path is weighed: `leave` gives it / n of the room outside
             else:
                 fate, q, e, path, light = cross_other(p, d, body, world.others)
-            if fate in (BLOCKED, MISSED_PLANE):
+            fate, faces = fate % FATES, fate // FATES
+            if fate in (BLOCKED, MISSED_PLANE, IN_GLASS, EDGE):
                 return fate, p, d, key, events, kept, index
             if events == MAX_EVENTS:
                 return TOO_MANY_EVENTS, p, d, key, events, kept, index
             way = OUT if leaves else IN if fate == ENTERED else OFF if fate == OFF_INSIDE else THROUGH
-            event = other_event(body, way, spheres)
-            if way in (THROUGH, OFF):  # going in and out of a room is no part of a branch
+            event = other_event(body, way, faces, spheres)
+            if way in (THROUGH, OFF) or faces > 0:  # going in and out of a round room is no part of a branch
                 key = next_key(key, event)
             ids = OTHER, events, event, body, way
             kept = record(kept, unbent_crossing(ids, p, d, 0.0, ORIGIN, 0.0, path * index, light), world)

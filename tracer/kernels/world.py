@@ -37,6 +37,8 @@ from tracer.kernels.vectors import Vector, dot, move, subtract, vector_at
 GROW = 1e-6  # cells; the walk is off by a few 1e-16 of the distance walked
 RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS, IN_GLASS = range(6)  # RayStatus, as plain integers
 ENTERED, OFF_INSIDE = 6, 7  # of a ray at a body: in another room now; behind it, totally reflected by its inside
+EDGE = 8  # RayStatus: met an edge between flat faces
+FATES = 16  # a body with faces returns  fate + FATES * faces  (``tracer.kernels.block``)
 Crossed = tuple[
     int, Vector, Vector, float, float
 ]  # status, point, direction, path, share of the light; see `Kind`

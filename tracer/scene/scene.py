@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
-from tracer.bodies import CONTACT_TOL_MM, KINDS, Body, Index, Sphere, vector3
+from tracer.bodies import CONTACT_TOL_MM, KINDS, Block, Body, Index, Sphere, vector3
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
-from tracer.kernels.rooms import ONE_ROOM, Rooms
+from tracer.kernels.block import DIGIT
+from tracer.kernels.branches import FACE_EVENTS
+from tracer.kernels.rooms import ONE_ROOM, WAYS, Rooms
 from tracer.kernels.world import MOST_NUMBERS
 from tracer.light_sheet import LightSheet
 from tracer.masked import LEFT_OUT, MaskedPart
@@ -30,6 +32,7 @@ from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.scene.rooms import Arrangement
 from tracer.scene.view import bodies_around_view
 
+BETWEEN_FACES = "-"  # in the name of a way through a block
 DEEPEST_CUT_MM = 1.0  # that a light sheet may run into a body which touches the target's plane
 
 
@@ -244,6 +247,38 @@ class Scene:
         names = [sphere.event_name(way) for way in range(2 * most_cores + 1) for sphere in self.spheres]
         return names + [name for body in self.others for name in _ways_of(body)]
 
+    def event_name(self, event: int, names: Sequence[str]) -> str:
+        """Name of an event, `names` being `event_names()`; faces of a block follow: "box front-back"."""
+        if event < len(names):
+            return names[event]
+        before = len(names) - WAYS * len(self.others)
+        other, code = (event - before) % FACE_EVENTS, (event - before) // FACE_EVENTS
+        faces: list[str] = []
+        while code:
+            code, digit = divmod(code, DIGIT)
+            faces.insert(0, self.others[other // WAYS].face_names[digit - 1])
+        return f"{names[before + other]} {BETWEEN_FACES.join(faces)}"
+
+    def event_by_faces(self, name: str) -> int:
+        """Return the event of a name that `event_name` made of faces.
+
+        Raises
+        ------
+        KeyError
+            No body has such a way.
+        """
+        way, _, faces = name.rpartition(" ")
+        names, code = self.event_names(), 0
+        event = names.index(way) if way in names else -1
+        other = (event - len(names)) // WAYS
+        if event < len(names) - WAYS * len(self.others):
+            raise KeyError(name)
+        for face in faces.split(BETWEEN_FACES):
+            if face not in self.others[other].face_names:
+                raise KeyError(name)
+            code = DIGIT * code + self.others[other].face_names.index(face) + 1
+        return event + FACE_EVENTS * code
+
     def _others(self, instead: Mapping[str, Body]) -> Iterator[tuple[int, Any]]:
         """Place in KINDS and table of each kind in use but spheres."""
         seen = self.seen
@@ -346,6 +381,8 @@ def _in_short(row: NDArray[np.float64]) -> list[float]:
 
 def _gap_mm(one: Body, other: Body) -> float:
     """Distance of two bodies, one of them taken for its capsule: the better of both bounds from below."""
+    if isinstance(one, Block) and isinstance(other, Block):
+        return one.gap_to_block_mm(other)
     gaps = []
     for exact, around in ((one, other.capsule), (other, one.capsule)):
         start, step = np.array(around.start_mm), np.array(around.end_mm) - np.array(around.start_mm)
@@ -359,9 +396,9 @@ def _gap_mm(one: Body, other: Body) -> float:
 
 
 def _ways_of(body: Body) -> tuple[str, str, str, str]:
-    """Names of the ways THROUGH, IN, OUT and OFF of a body that is no sphere."""
-    names = body.event_names
-    return names[0], "", "", names[1] if len(names) > 1 else ""
+    """Names of the ways THROUGH, IN, OUT and OFF of a body that is no sphere; round ones have none IN and OUT."""
+    through, off, into, out = (*body.event_names, "", "", "")[:4]
+    return through, into, out, off
 
 
 def _near_pairs(spheres: Sequence[Sphere]) -> list[tuple[Sphere, Sphere]]:

@@ -84,9 +84,20 @@ def lengths_of(branches: Sequence[Branch]) -> NDArray[np.int64]:
     return np.array([len(names) for names in branches], np.int64)
 
 
-def event_numbers(scene: Scene) -> dict[str, int]:
+class EventNumbers(dict[str, int]):
+    """Number of each event by its name; those of ways by faces are computed on demand."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__({name: event for event, name in enumerate(scene.event_names()) if name})
+        self.scene = scene
+
+    def __missing__(self, name: str) -> int:
+        return self.scene.event_by_faces(name)
+
+
+def event_numbers(scene: Scene) -> EventNumbers:
     """Number of each event by its name."""
-    return {name: event for event, name in enumerate(scene.event_names()) if name}
+    return EventNumbers(scene)
 
 
 def sphere_of(scene: Scene, event: str) -> Sphere:

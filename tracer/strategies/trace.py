@@ -54,6 +54,7 @@ class RayStatus(IntEnum):
     MISSED_PLANE = 3  # left the bodies level or away from the plane
     TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.rays.MAX_EVENTS
     IN_GLASS = 5  # was inside a body where it reached the investigation plane
+    EDGE = 8  # met an edge between flat faces
 
 
 def world_of(scene: Scene) -> World:
@@ -216,7 +217,7 @@ def name_keys(
     names, lengths = scene.event_names(), np.count_nonzero(trails >= 0, axis=1)
     known = trails[:, : lengths.max(initial=0)].tolist()
     return {
-        key: tuple(names[event] for event in trail[:length] if names[event])
+        key: tuple(name for event in trail[:length] if (name := scene.event_name(event, names)))
         for key, trail, length in zip(keys.tolist(), known, lengths.tolist(), strict=True)
     }
 

@@ -119,7 +119,8 @@ def rims_off(
 
     walls = any(body.stays for body in scene.bodies)
     if (
-        walls
+        not scene.spheres
+        or walls
         or len(board.depths_mm) > 1
         or any(scene.n_around(ball) - scene.n_ambient > GAS for ball in scene.spheres)
     ):

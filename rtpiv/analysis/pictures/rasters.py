@@ -35,6 +35,7 @@ COLOURS: dict[NodeStatus, Colour] = {
     NodeStatus.LEFT_OUT: (118, 110, 98),
     NodeStatus.DARK: (28, 24, 46),
     NodeStatus.OVERLIT: (250, 226, 120),
+    NodeStatus.EDGE: (78, 104, 84),
 }
 THROUGH: Colour = (176, 208, 231)  # recovered, and seen through glass
 _PALETTE = np.array([COLOURS[status] for status in NodeStatus], np.uint8)

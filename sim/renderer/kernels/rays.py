@@ -27,7 +27,7 @@ from sim.renderer.kernels.surfaces import (
     through_cores,
 )
 from sim.renderer.kernels.uneven import crossing, is_uneven, normal_at
-from sim.renderer.kernels.walls import INSIDE, LOST, next_wall
+from sim.renderer.kernels.walls import FACET, INSIDE, LOST, next_wall
 
 Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
@@ -102,9 +102,11 @@ def pass_body(
         ex, ey, ez, part = snell(dx, dy, dz, nx, ny, nz, before / behind)
         if part > 0.0:
             return (ox, oy, oz), (ex, ey, ez), power * part, -1, beyond, nearest, WALL
-        if which != INSIDE or beyond:
+        if which not in (INSIDE, FACET) or beyond:
             return o, d, BLOCKED, last, in_glass, nearest, WALL
-        along = 2.0 * (dx * nx + dy * ny + dz * nz)  # in the wall of a tube, off its inside
+        along = 2.0 * (
+            dx * nx + dy * ny + dz * nz
+        )  # in the wall of a tube, off its inside; in a block, off any face
         d = (dx - along * nx, dy - along * ny, dz - along * nz)
         return (ox, oy, oz), d, power, last, in_glass, nearest, WALL
     s = spheres[body]
@@ -158,6 +160,8 @@ def last_way(
         if last >= 0 and height < -BEHIND_MM:  # out of a body that stands beside the sheet, and past it
             return o[0], o[1], o[2], d[0], d[1], d[2], BLOCKED, chain
         farthest = max(-height / fall, 0.0) if fall < 0.0 else np.inf
+        if in_glass:  # a face that lies on the sheet is met before it
+            farthest += BEHIND_MM
         o, d, transmittance, last, in_glass, t, body = pass_body(
             o, d, transmittance, last, in_glass, farthest, world
         )

@@ -2,12 +2,15 @@
 
 import random
 
+import numpy as np
 import pytest
 
 from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable
-from sim.witness.clearances import Carried, Clearances
+from sim.witness.clearances import CAPSULES, Carried, Clearances
+from sim.witness.distances import point_to_segment
 from stages.way import Piece
-from tracer.bodies import Rod, Sphere
+from tracer.bodies import Box, Prism, Rod, Sphere
+from tracer.bodies.block import UNTURNED, rectangle, rotate_axes
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
@@ -150,3 +153,33 @@ def test_contact_is_allowed_to_the_body_that_is_named():
     judge.note_rest()
     assert judge.judge_motion({"glass_z": -30.1}, {"glass_z"}, {})
     assert not clearances(0.05, contact=["front"]).judge_motion({"glass_z": -30.1}, {"glass_z"}, {})
+
+
+def test_lines_across_a_block_are_as_far_away_as_its_faces():
+    axes = rotate_axes(UNTURNED, (0.4, 0.3, 0.2))
+    sides = ((-10.0, -8.0), (12.0, -9.0), (-3.0, 14.0))
+    blocks = (
+        Box("box", rectangle(30.0, 20.0), 24.0, GLASS, (3.0, 4.0, 5.0), axes),
+        Prism("prism", sides, 30.0, GLASS),
+    )
+    rng = np.random.default_rng(5)
+    for block in blocks:
+        points = rng.normal(size=(60, 3))
+        points *= rng.uniform(25.0, 60.0, (60, 1)) / np.linalg.norm(points, axis=1, keepdims=True)
+        lines = CAPSULES[type(block)](block)
+        for point, distance_mm in zip(points.tolist(), block.distance_mm(points).tolist(), strict=True):
+            nearest_mm = min(point_to_segment(tuple(point), line.begin, line.end) for line in lines)
+            assert -1e-9 < nearest_mm - distance_mm < 0.1 + 0.5 / max(distance_mm, 1.0)
+
+
+def test_pieces_cover_a_block_and_a_hollow_one():
+    rng = np.random.default_rng(6)
+    for wall_mm in (0.0, 2.0):
+        axes = rotate_axes(UNTURNED, (0.4, 0.3, 0.2))
+        box = Box("box", rectangle(30.0, 20.0), 24.0, GLASS, (3.0, 4.0, 5.0), axes, wall_mm)
+        points = np.array(box.centre_mm) + rng.uniform(-22.0, 22.0, (4000, 3))
+        inside = np.zeros(len(points), bool)
+        for piece in box.pieces:
+            shares = np.linalg.solve(piece.edges_mm.T, (points - piece.start_mm).T)
+            inside |= ((shares > 0.0) & (shares < 1.0)).all(axis=0)
+        assert (inside == (box.distance_mm(points) < 0.0)).all()
