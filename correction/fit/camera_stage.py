@@ -174,7 +174,8 @@ def _fit_camera(
     work: Progress, frames: Sequence[TargetFrame], reach: float | None = None
 ) -> tuple[Unknowns, Solution]:
     """Find the bare target in more frames, one by one, and fit the camera to all there are."""
-    unknowns = work.unknowns.only((*ON_BARE, *work.walls))
+    # One board hardly tells how thick a tank is: where others follow, the walls stay as described until then.
+    unknowns = work.unknowns.only(ON_BARE if work.poses else (*ON_BARE, *work.walls))
     for frame in frames:
         number = work.height_number(frame)
         found, work.board = bare_frame(frame, work.board, _predict_view(work, frame, work.full), number, reach)

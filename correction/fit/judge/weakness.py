@@ -20,7 +20,7 @@ import scipy
 
 from correction.fit.judge.result import SceneFit
 from correction.fit.solve.considered import with_considered
-from correction.fit.solve.unknowns import unit_of
+from correction.fit.solve.unknowns import pose_label, unit_of
 from tracer.bodies import Sphere
 from tracer.harmonics import NAMES
 from tracer.media import THINNEST_LIQUID
@@ -34,6 +34,10 @@ TIED = 0.97
 LOOSE = 0.05
 WALL_CURE = (
     "measure the wall (callipers, level, catalogue) and give its sigma in fit.walls, if its numbers are wanted"
+)
+TILT_CURE = (
+    "poses by hand, tilted by 10 to 30 degrees to several sides and far apart in depth"
+    " (target_clear_pose1 and so on)"
 )
 NAMED_COMPONENT = 0.3  # of a unit eigenvector, from which a number is named
 SAME_GAS = 1e-5  # in n: 10 K, or 30 hPa
@@ -165,7 +169,12 @@ def describe_numbers(fit: SceneFit, names: tuple[str, ...]) -> str:
 def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
     """Frames or figures that would separate these numbers, given the frames there are."""
     if set(names) & set(fit.unknowns.other_bodies.names):
-        return f"a wall and a camera elsewhere show nearly the same: {WALL_CURE}"
+        stays = any(body.stays for body, _ in fit.unknowns.other_bodies.bodies)
+        tilt = f"add {TILT_CURE}, or " if stays else ""
+        return f"a wall and a camera elsewhere show nearly the same: {tilt}{WALL_CURE}"
+    own = ("camera.", *map(pose_label, fit.unknowns.poses))
+    if fit.unknowns.poses and all(name.startswith(own) for name in names):
+        return f"boards that are parallel or near each other leave it open: add {TILT_CURE}"
     if any(name.startswith("print.") for name in names):
         return "a print of another size shows the same: measure its bars (measured_mm in board.yaml, then --board)"
     stack = {glass: _heights(fit, glass) >= 3 for glass in (False, True)}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from correction.fit.judge.weakness import weaknesses
 from correction.fit.pose_stage import drop_other_boards, find_poses
 from correction.fit.progress import Progress
 from correction.fit.scene_fit import fit_scene
@@ -126,3 +127,21 @@ def test_frames_that_say_nothing_are_left_out_with_the_reason():
         name.startswith(("target pose3", "target pose4", "target pose5")) for name in work.unknowns.names
     )
     assert sum(name.startswith("target pose") for name in work.unknowns.names) == 12
+
+
+@pytest.mark.slow  # three fits; what is left open by other frames is held by test_weakness_of_many.py
+def test_parallel_boards_leave_numbers_open_and_tilted_ones_cure_that():
+    known = PRIORS.model_copy(update={"camera": PRIORS.camera.model_copy(update={"focal_px": 1.0, "k1": 5e-3})})
+    parallel = ((-30.0, 20.0, -60.0), (0.0, 0.0, 0.0)), ((40.0, -20.0, -90.0), (0.0, 0.0, 0.1))
+    said, sigma = [], []
+    for others in ((), parallel, (TILTED, UPSIDE_DOWN)):
+        fit = fit_scene(nominal_tank(250.0), frames_of(FLAT, *others), BOARD, known)
+        said.append([weakness.sentence for weakness in weaknesses(fit)])
+        sigma.append(value_of(fit, "tank.thickness")[1])
+    alone, open_, cured = said
+    assert any("tank.thickness" in each and "add poses by hand, tilted" in each for each in alone)
+    assert any("camera.focal_px" in each and "boards that are parallel" in each for each in open_)
+    assert not any(
+        "boards that are parallel" in each or "known no better than before, the" in each for each in cured
+    )
+    assert sigma[0] > 3.0 * sigma[2]
