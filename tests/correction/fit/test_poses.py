@@ -2,15 +2,19 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from correction.errors import ViewsMissing
 from correction.fit.judge.weakness import weaknesses
-from correction.fit.pose_stage import drop_other_boards, find_poses
+from correction.fit.pose_stage import drop_other_boards, find_poses, pinhole_poses
 from correction.fit.progress import Progress
 from correction.fit.scene_fit import fit_scene
 from correction.target import Chessboard
+from correction.target.lattice_fit import BoardDetection
+from rtpiv.verbs.calibrate import target_frames
 from tests.correction.fit.tank_frames import (
     CAMERA_MM,
     FOCAL_PX,
@@ -70,6 +74,37 @@ def frames_of(*poses, planes=TANK, **how):
         tank_frame(name, planes, pose, seed, axes=AXES, **how)
         for seed, (name, pose) in enumerate(zip(names, poses, strict=True))
     ]
+
+
+def test_a_name_of_a_file_says_which_pose_by_hand_it_shows(tmp_path):
+    for name in (
+        "target_clear",
+        "target_clear_z+10mm",
+        "target_clear_pose1",
+        "target_glass_pose1",
+        "target_clear_pose_left",
+    ):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full(SHAPE, 90, np.uint8))
+    read = {frame.name: (frame.glass, frame.height_mm, frame.pose) for frame in target_frames(tmp_path, SHAPE)}
+    assert read["target_clear_z+10mm"] == (False, 10.0, "")
+    assert read["target_glass_pose1"] == (True, 0.0, "pose1")
+    assert read["target_clear_pose_left"] == (False, 0.0, "pose_left")
+    cv2.imwrite(str(tmp_path / "target_clear_tilted.png"), np.full(SHAPE, 90, np.uint8))
+    with pytest.raises(ViewsMissing, match=r"for poses by hand target_clear_pose1\.tif"):
+        target_frames(tmp_path, SHAPE)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_pinhole_sees_a_board_in_two_poses_one_of_which_is_right(mirrored):
+    camera = nominal_tank(260.0).camera
+    camera = camera.mirrored() if mirrored else camera
+    index = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-3, 4)), axis=-1).reshape(-1, 2)
+    world = np.array(UPSIDE_DOWN[0]) + BOARD.corner_mm(index) @ matrix_of(UPSIDE_DOWN[1])[:, :2].T
+    pixel, axes, nothing = camera.project(world), np.zeros((len(index), 2, 2)), np.zeros((len(index), 2))
+    found = pinhole_poses(camera, BoardDetection(BOARD, index, pixel, nothing, axes, nothing, {}))
+    assert len(found) == 2
+    assert found[0][:3] == pytest.approx(UPSIDE_DOWN[0], abs=1e-6)
+    assert Rotation.from_rotvec(found[0][3:]).as_matrix() == pytest.approx(matrix_of(UPSIDE_DOWN[1]), abs=1e-8)
 
 
 @pytest.mark.slow  # the frames below, by the whole fit; poses and refusals are held by the next tests
