@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from correction.maps.corrector import Corrector
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
-from daq.bench.elements import CAMERA
 from daq.bench.opened import open_bench
 from daq.cameras.frame import Frame
 from daq.live.live_page import BYTES_PER_PX, LivePage
@@ -39,7 +38,7 @@ def live(
     port: Port = 0,
     shows: Literal["chessboard", "particles", "flow"] = "chessboard",
     for_s: Positive | None = None,
-    camera: str = CAMERA,
+    camera: str = "camera",
 ) -> int:
     """Show what the camera sees until Ctrl-C.
 
