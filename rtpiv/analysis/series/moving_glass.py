@@ -100,7 +100,7 @@ def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[Seri
     path = np.concatenate([one.position for one in moves.moving], axis=-1)
     names = [one.name.removeprefix(BALL) for one in moves.moving]
     rates = [_largest_rates(each, names) for each in series]
-    at = applied_steps(path, np.max(rates, axis=0))
+    at = steps_to_apply(path, np.max(rates, axis=0))
     found = [
         replace(each, given=replace(each.given, pairs=tuple(
             pair if not step.any() else replace(pair, scene=move_balls(each.method.scene, names, step))
@@ -111,7 +111,7 @@ def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[Seri
     return found, len(np.unique(at, axis=0))
 
 
-def applied_steps(path: Floats, px_per_mm: Floats) -> Floats:
+def steps_to_apply(path: Floats, px_per_mm: Floats) -> Floats:
     """Moves (K, P) that are applied: those of the last pair at which they had changed by the limit."""
     applied, now = np.zeros_like(path), np.zeros(path.shape[1])
     for number, place in enumerate(path):

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 from benchmarks.views import scene_at
-from rtpiv.analysis.series.moving_glass import FOLLOW_LIMIT_PX, applied_steps, move_balls
+from rtpiv.analysis.series.moving_glass import FOLLOW_LIMIT_PX, move_balls, steps_to_apply
 
 PX_PER_MM = np.array([4.0, 4.0, 1.0])
 
 
 def test_a_run_at_rest_has_one_map_and_a_drift_one_a_limit():
     path = np.linspace(0.0, 0.05, 101)[:, None] * np.array([1.0, 0.0, 0.0])
-    assert not applied_steps(0.05 * path, PX_PER_MM).any()
-    found = applied_steps(path, PX_PER_MM)
+    assert not steps_to_apply(0.05 * path, PX_PER_MM).any()
+    found = steps_to_apply(path, PX_PER_MM)
     assert (np.abs((path - found) * PX_PER_MM) <= FOLLOW_LIMIT_PX).all()
     assert len(np.unique(found, axis=0)) == 10  # 0.2 px in steps just beyond 0.02
     knock = np.where(np.arange(20)[:, None] < 12, 0.0, np.array([0.02, 0.0, 0.0]))
-    np.testing.assert_array_equal(applied_steps(knock, PX_PER_MM), knock)
+    np.testing.assert_array_equal(steps_to_apply(knock, PX_PER_MM), knock)
 
 
 def test_a_ball_that_touches_another_is_moved_beside_it():
