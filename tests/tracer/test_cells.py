@@ -126,3 +126,12 @@ def test_more_branches_than_short_numbers(monkeypatch: pytest.MonkeyPatch, tmp_p
     for each in (long, made):
         each.save(tmp_path / "map")
         assert np.array_equal(type(each).load(tmp_path / "map").branch, each.branch)
+
+
+def test_radii_that_a_fit_makes_negative_sort_as_their_squares() -> None:
+    """Hypotheses of a fit of many balls try any number: no box of cells may be of negative size."""
+    spheres = bed("random", rod=False).sphere_table()
+    wrong = spheres.copy()
+    wrong[:, 3] *= -1.0
+    for right, found in zip(sort_into_cells(spheres), sort_into_cells(wrong), strict=True):
+        np.testing.assert_array_equal(found, right)

@@ -86,7 +86,8 @@ def cells_of(spheres: NDArray[np.float64]) -> Cells:
 
 def sort_into_cells(spheres: NDArray[np.float64]) -> Cells:
     """Grid for a sphere table (N, 6), N > 0: frame, begin, items."""
-    centre, radius = spheres[:, :3], spheres[:, 3:4]
+    centre = spheres[:, :3]
+    radius = np.abs(spheres[:, 3:4])  # a fit on its way may try a negative one, of which rays see the square
     low, high = (centre - radius).min(axis=0), (centre + radius).max(axis=0)
     extent = high - low
     side = float((extent.prod() / (CELLS_PER_SPHERE * len(spheres))) ** (1.0 / 3.0))
