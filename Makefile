@@ -18,11 +18,11 @@ export OPENBLAS_NUM_THREADS = 1
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
 	  [ -x $(BIN)/python ] || uv venv -q --python $(PY) $(VENV); \
-	  uv pip install -q --python $(BIN)/python -r requirements.txt && uv pip install -q --python $(BIN)/python --no-deps --no-build-isolation -e .; \
+	  uv pip install -q --python $(BIN)/python -r requirements.txt && uv pip install -q --python $(BIN)/python --no-deps -e .; \
 	else \
 	  [ -x $(BIN)/python ] || $(PY) -m venv $(VENV); \
 	  $(BIN)/python -m pip install -q --disable-pip-version-check --no-compile -r requirements.txt && \
-	  $(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .; \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check --no-deps -e .; \
 	fi
 	@touch $@
 
