@@ -75,6 +75,9 @@ def find_camera(work: Progress) -> None:
     if on_stage := [frame for frame in work.bare_frames[1:] if not frame.pose]:
         unknowns, solution = _fit_camera(work, on_stage)
     if work.poses:
+        # One board hardly tells how thick a tank is: all boards together start from walls as described.
+        work.full, walls = work.full.copy(), work.unknowns.others
+        work.full[walls] = work.unknowns.start[walls]
         find_poses(work)
         unknowns = work.unknowns.only((*ON_BARE, *work.walls))
         solution = _fit_bare(work, unknowns, "camera and poses by hand", 0)
@@ -174,8 +177,7 @@ def _fit_camera(
     work: Progress, frames: Sequence[TargetFrame], reach: float | None = None
 ) -> tuple[Unknowns, Solution]:
     """Find the bare target in more frames, one by one, and fit the camera to all there are."""
-    # One board hardly tells how thick a tank is: where others follow, the walls stay as described until then.
-    unknowns = work.unknowns.only(ON_BARE if work.poses else (*ON_BARE, *work.walls))
+    unknowns = work.unknowns.only((*ON_BARE, *work.walls))
     for frame in frames:
         number = work.height_number(frame)
         found, work.board = bare_frame(frame, work.board, _predict_view(work, frame, work.full), number, reach)

@@ -20,7 +20,7 @@ import scipy
 
 from correction.fit.judge.result import SceneFit
 from correction.fit.solve.considered import with_considered
-from correction.fit.solve.unknowns import pose_label, unit_of
+from correction.fit.solve.unknowns import LENS, pose_label, unit_of
 from tracer.bodies import Sphere
 from tracer.harmonics import NAMES
 from tracer.media import THINNEST_LIQUID
@@ -173,7 +173,8 @@ def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
         tilt = f"add {TILT_CURE}, or " if stays else ""
         return f"a wall and a camera elsewhere show nearly the same: {tilt}{WALL_CURE}"
     own = ("camera.", *map(pose_label, fit.unknowns.poses))
-    if fit.unknowns.poses and all(name.startswith(own) for name in names):
+    lens = all(name.rpartition(".")[2] in LENS for name in names)  # these need boards at the borders of the view
+    if fit.unknowns.poses and not lens and all(name.startswith(own) for name in names):
         return f"boards that are parallel or near each other leave it open: add {TILT_CURE}"
     if any(name.startswith("print.") for name in names):
         return "a print of another size shows the same: measure its bars (measured_mm in board.yaml, then --board)"
