@@ -166,7 +166,8 @@ def register_with_numba(function: Callable[..., Any], options: dict[str, Any]) -
     while overloads:
         replaced, writer, how = overloads.pop(0)
         overload(replaced, **how)(writer)
-    compiled = numba.njit(**options | {"cache": False})(function)
+    # C calls no kernel, and its wrapper was a twentieth of all compiling
+    compiled = numba.njit(**options | {"cache": False, "no_cfunc_wrapper": True})(function)
     if options.get("cache") and cache_folder(Path(inspect.getfile(function))) is not None:
         compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
     _type_integers_once(compiled)
