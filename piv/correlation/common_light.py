@@ -16,6 +16,8 @@ apart by; shorter ones mean nothing and are rejected.
 The size of images is that of the pair, or of what is left where this is far smaller: behind a coarse texture. It
 is smaller as well, the seams of images, where large ones hardly move; but then windows match as a whole at some
 place that is not rest, and the less so the more particles are lost, which leave all of their image (`SEAMS`).
+Light far brighter than the particles matches at rest but for noise. What nearly all windows agree on beyond
+`BEYOND_SEAMS` deviations moves all the same.
 
 **Coarse light lags.** Flow moves light of any size alike. Between texture and particles vectors lie where their
 sum matches best: frames that are deformed by them and blurred, so that mostly the texture is left, match behind
@@ -48,7 +50,9 @@ OVER, LEFT_OVER = 2.0, 0.02  # share of the light that moves, by that which slow
 BETTER = 0.05  # match of what is left over that of windows as they are
 NEAR_PX = 1.5  # between what a window shows as it is and what is left of it
 WINDOW_PX = 64  # side of the windows that are asked
+NEAR_SHARE = 0.06  # of that side: clear displacements of neighbours differ by less
 FAR = 3.75  # displacement in deviations of a particle image
+BEYOND_SEAMS = 6.0  # the same, median of windows that agree: no seams explain it
 SEAMS_APART = 3.0  # the same of images at rest, which is no such displacement unless they leave too much
 SEAMS = 0.2  # variance of seams over that of images, more by what is lost
 RESTS = 0.45  # displacement in deviations of an image, of windows at rest
@@ -193,8 +197,6 @@ def without_common_light(
         return None  # the same picture twice
     # Single bright pixels are noise of the pair, and common to both frames.
     without_noise = 1.0 + min(pair.noise, rest.noise)
-    if is_slow and usual * without_noise > GOOD:
-        return None
     grid = window_grid(shape, WINDOW_PX, 0.0)
     frames, left = (DeformedPair(part.a, part.b, part.valid, part.floor) for part in (pair, rest))
     moved = correlate_windows(left, grid, min_valid, threads)
@@ -209,6 +211,14 @@ def without_common_light(
             spread_px2 = WIDER * left_px2
     image_px = float(np.sqrt(spread_px2))
     at_rest = match_at_rest(frames, grid, 0.0, threads)
+    agreed = _agree(found, clear) & (length_px > FAR * image_px)
+    if agreed.sum() >= max(FEWEST, NEARLY_ALL * asked.sum()):
+        share = float(np.nanmedian(at_rest[agreed]))
+        # Nothing at rest leaves that, however well it matches.
+        if np.median(length_px[agreed]) > BEYOND_SEAMS * image_px and share > LEAST_COMMON:
+            return CommonLight(rest, share, image_px)
+    if is_slow and usual * without_noise > GOOD:
+        return None
     slow = np.exp(-np.square(known.vectors_px).sum(axis=-1) / (4.0 * spread_px2))
     # Images that are long, or rings, match themselves farther away than Gaussian ones of their width.
     slow = np.maximum(slow, match_with_itself(pair.a, known.vectors_px))
@@ -227,6 +237,21 @@ def without_common_light(
     if not np.nanquantile(common[far], 0.25) > LEAST_COMMON:
         return None
     return CommonLight(rest, float(np.nanmedian(at_rest[far])), image_px)
+
+
+def _agree(found_px: Floats, clear: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where clear displacements (ny, nx, 2) are nearly those around them (`NEAR_SHARE`)."""
+    ny, nx = clear.shape
+    padded = np.full((ny + 2, nx + 2, 2), np.nan)
+    known = padded[1:-1, 1:-1]
+    known[clear] = found_px[clear]
+    near = np.zeros(clear.shape, bool)
+    for row, column in zip(*np.nonzero(clear), strict=True):
+        around = padded[row : row + 3, column : column + 3]
+        middle = np.nanmedian(around, axis=(0, 1))
+        off_px = np.linalg.norm(known[row, column] - middle)
+        near[row, column] = off_px < NEAR_SHARE * WINDOW_PX
+    return near
 
 
 def _is_behind_texture(whole: Searched, spread_px2: float, left_px2: float, without_noise: float) -> bool:

@@ -31,9 +31,10 @@ the same, as a share of what the window holds, stands still.
    (`finer_waves`), which neither has seen;
 4. resolution as it is measured (`agreement`): it replaces 3. as far as it is significant beside noise and chance;
 5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel;
-6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it.
+6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it;
+7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so the total grows.
 
-`sigma_u_px` and `sigma_v_px` are the result of 2., `resolution_px` that of 3. to 6.; both together are the total.
+`sigma_u_px` and `sigma_v_px` are the result of 2., `resolution_px` that of 3. to 7.; both together are the total.
 Of the resolution `steady_px` is the part that is the same in every pair of a steady flow.
 
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
@@ -83,6 +84,7 @@ from piv.correlation.resolution import (
     resolution_model_px,
     steady_px,
     unevenness,
+    with_few_pieces,
 )
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
@@ -381,6 +383,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         if settings.flow_beyond_mask:
             cut = cut * np.array(BEYOND_CUT)[:, None, None]
         parts = np.hypot(parts, cut)
+        # 7. All of these were estimated from the same few particles.
+        parts[0] = with_few_pieces(parts[0], sigma, particles)
     fill, near = fill_gaps(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED

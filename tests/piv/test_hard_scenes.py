@@ -210,6 +210,21 @@ def test_hot_pixels_do_not_hold_sparse_particles(share, flow):
 
 
 @pytest.mark.parametrize(
+    ("share", "height", "flow"),
+    [(0.05, 200.0, (6.2, 1.4)), slow(0.07, 230.0, (-5.1, 3.3)), slow(0.05, 250.0, (-3.0, -6.4))],
+)
+def test_still_light_far_brighter_than_the_flow_is_taken_off(share, height, flow):
+    """Both frames match at rest but for noise then: every vector was 0, surely, without a warning."""
+    scene = behind(61, uniform(*flow), hard_scenes.hot_pixels(61, share, height), density=0.012, peak=60.0)
+    field = evaluate(scene)
+    found = judge(scene, field)
+    assert found.wrong == 0
+    assert found.silent <= 0.003 * found.valid
+    assert found.covered > 0.9
+    assert field.static_share > 0.5
+
+
+@pytest.mark.parametrize(
     ("spacing", "width", "level"), [slow(37, 2, 255.0), (37, 2, 90.0), slow(61, 1, 160.0), (29, 2, 400.0)]
 )
 def test_the_lines_of_a_graticule_are_found(spacing, width, level):

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from piv.correlation.refine import window_weights
-from piv.correlation.resolution import UNEVEN, Window, resolution_model_px, second_differences
+from piv.correlation.resolution import (
+    UNEVEN,
+    Window,
+    resolution_model_px,
+    second_differences,
+    with_few_pieces,
+)
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.windows import window_grid
@@ -122,3 +128,10 @@ def test_waves_shorter_than_every_window_are_in_sigma(particle_pair, seed, told,
     assert rms(off) > 1.1 * rms(random)
     assert 0.85 <= rms(off / total) <= most
     assert 0.62 <= np.mean(np.abs(off) < total) <= 0.80
+
+
+def test_few_particles_know_their_own_spread_badly():
+    """The random part stays, the total of two pieces grows by 1 + 4 (1/4 - 1/36), and that of many not at all."""
+    pieces = np.array([[2.0, 6.0, 30.0]])
+    found = with_few_pieces(np.full((1, 3), 0.03), np.full((1, 3, 2), 0.04), pieces)
+    np.testing.assert_allclose(np.hypot(found, 0.04), 0.05 * np.array([[17.0 / 9.0, 1.0, 1.0]]), rtol=1e-12)
