@@ -89,7 +89,13 @@ from piv.correlation.resolution import (
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
-from piv.correlation.taken_out import is_measured, without_masked, without_seams, without_still, without_vectors
+from piv.correlation.taken_out import (
+    is_measured,
+    without_chance_vectors,
+    without_masked,
+    without_seams,
+    without_still,
+)
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -107,7 +113,6 @@ BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may 
 # Larger first windows are tried if few places have a vector, and kept if they find more
 MIN_VALID_SHARE = 0.8  # of the windows
 RETRY_GAIN, RETRY_LEFT = 1.5, 0.6  # share with a vector, and without, over that of the usual windows
-UNRELATED_SHARE, UNRELATED_SIGMA_PX = 0.25, 0.15  # fewer vectors, and less certain ones, are there by chance
 PASS_CHANGE_PX, PASS_CHANGED_SHARE = 0.25, 0.03  # more vectors moved by more: another pass is worth its time
 # Single vectors
 MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and the error that the rest may cause
@@ -191,7 +196,7 @@ def evaluate_pair(
         still = empty if still is None else still | empty
         with suppress(PairError):  # nothing is left
             field = _run_trials(prepare_again, sides, settings, threads)
-    field = _without_chance_vectors(field)
+    field = without_chance_vectors(field)
     for area in hidden:
         still = area if still is None else still | area
     if given is not None:
@@ -209,15 +214,16 @@ def _run_trials(
     shape = pair.a.shape
     field = _run_passes(pair, sides, settings, threads)
     del pair
-    for side in _larger(sides[0], min(shape)) if _share(field) < MIN_VALID_SHARE else ():
+    for side in _larger(sides[0], min(shape)) if field.valid_share < MIN_VALID_SHARE else ():
         try:
             again = _run_passes(prepare_again(), [side, *sides], settings, threads)
         except PairError:
             continue  # no more than there was
-        if _share(again) < RETRY_GAIN * _share(field) and 1.0 - _share(again) > RETRY_LEFT * (1.0 - _share(field)):
+        share, before = again.valid_share, field.valid_share
+        if share < RETRY_GAIN * before and 1.0 - share > RETRY_LEFT * (1.0 - before):
             continue  # larger windows do not help
         field = again
-        if _share(field) > TRUSTED_SHARE:
+        if field.valid_share > TRUSTED_SHARE:
             break
     return field
 
@@ -227,24 +233,9 @@ def _larger(side_px: int, frame_px: int) -> list[int]:
     return [side for side in (3 * side_px // 2, 2 * side_px, 4 * side_px) if 3 * side <= 2 * frame_px]
 
 
-def _without_chance_vectors(field: VectorField) -> VectorField:
-    """The field without any vector if the few there are say no more than those of frames that are no pair."""
-    if _share(field) >= UNRELATED_SHARE or not field.valid.any():
-        return field
-    sigma = field.total_sigma_px[field.valid]
-    if np.isfinite(sigma).any() and np.nanmedian(sigma) < UNRELATED_SIGMA_PX:
-        return field
-    return without_vectors(field, field.asked, VectorFlag.REJECTED)
-
-
 def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
     """Return whether two frames of one size are the same, pixel by pixel."""
     return bool(np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True))
-
-
-def _share(field: VectorField) -> float:
-    """Share of the unmasked windows that have a vector."""
-    return field.counts["valid"] / max(int(np.count_nonzero(field.asked)), 1)
 
 
 def _run_passes(

@@ -13,6 +13,7 @@ from piv.correlation.vector_field import VectorField, VectorFlag
 
 STANDS = 0.51  # share of what lies around a vector that a mask leaves; half of it on an edge
 WITHIN, MEASURED_SHARE = 0.99, 0.3  # of a window that lies in an empty area; of such windows with a vector
+UNRELATED_SHARE, UNRELATED_SIGMA_PX = 0.25, 0.15  # fewer vectors, and less certain ones, are there by chance
 COMMON_LIGHT_MARGIN = 1.5  # of the shortest vectors: as long ones are not trusted beside shorter ones
 
 
@@ -47,6 +48,16 @@ def is_measured(field: VectorField, empty: NDArray[np.bool_]) -> bool:
         if within.any():
             return bool(field.valid[within].mean() > MEASURED_SHARE)
     return True
+
+
+def without_chance_vectors(field: VectorField) -> VectorField:
+    """The field without any vector if the few there are say no more than those of frames that are no pair."""
+    if field.valid_share >= UNRELATED_SHARE or not field.valid.any():
+        return field
+    sigma = field.total_sigma_px[field.valid]
+    if np.isfinite(sigma).any() and np.nanmedian(sigma) < UNRELATED_SIGMA_PX:
+        return field
+    return without_vectors(field, field.asked, VectorFlag.REJECTED)
 
 
 def without_vectors(field: VectorField, gone: NDArray[np.bool_], flag: VectorFlag) -> VectorField:

@@ -145,6 +145,11 @@ class VectorField:
         return {name: part for name, part in found.items() if part is not None}
 
     @property
+    def valid_share(self) -> float:
+        """Measured vectors of those that could be measured, 0 to 1."""
+        return self.counts["valid"] / max(int(np.count_nonzero(self.asked)), 1)
+
+    @property
     def total_sigma_px(self) -> Floats:
         """Standard uncertainty (ny, nx, 2) of u and v: the random part and what windows do not resolve."""
         random = np.stack((self.sigma_u_px, self.sigma_v_px), axis=-1)
@@ -164,7 +169,7 @@ class VectorField:
     def warning(self) -> str:
         """Warning about the field as a whole, a sentence; empty if nothing speaks against it."""
         asked = int(np.count_nonzero(self.asked))
-        share = self.counts["valid"] / max(asked, 1)
+        share = self.valid_share
         if self.is_one_picture:
             return ONE_PICTURE
         if self.common_light_px:
