@@ -4,8 +4,8 @@ A node of the corrected image stands for pitch^2 of the plane.  It is HIDDEN if 
 would be stopped by a ball, as if light were not refracted.  A part of the hidden nodes is recovered, because some
 pixel sees them through the glass; that part, by area, is the share that every verb and every page begins with.
 Nodes inside a ball that reaches through the plane are no part of it.
-Walls that part the world (windows, tubes, domes) cover whole views and hide nothing; what opaque bodies hide alone
-is not counted either.
+Walls that part the world (windows, tubes, domes, tanks) cover whole views and hide nothing; what opaque bodies
+hide alone is not counted either.
 
 The OUTLINE of one body are the nodes whose straight line to the pinhole it would stop if it were opaque.  Glass
 gives part of them back, seen through itself or through other balls; the mask says why the rest is lost.  What a
@@ -24,7 +24,7 @@ from correction.grid import PlaneGrid
 from correction.maps.correction_map import CorrectionMap, build_correction_map, nodes_in_glass
 from correction.node_status import NodeStatus
 from rtpiv.analysis.kernels.behind import mark_behind
-from tracer.bodies import Block, Body, Sphere
+from tracer.bodies import CONTACT_TOL_MM, Block, Body, Sphere
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
@@ -147,7 +147,12 @@ def coarse_share(scene: Scene) -> float:
 
 def hiding(scene: Scene) -> list[Body]:
     """Bodies of glass before the plane that hide a part of it: all but walls that part the world."""
-    return [body for body in scene.seen if body.media and body.room is None]
+    return [body for body in scene.seen if body.media and _stands_alone(body)]
+
+
+def _stands_alone(body: Body) -> bool:
+    """Return whether the view passes beside a body: balls, and cuvettes in which the plane does not lie."""
+    return body.room is None or (isinstance(body, Block) and body.lowest_mm > -CONTACT_TOL_MM)
 
 
 def behind(bodies: Iterable[Body], scene: Scene, grid: PlaneGrid, window: Window) -> NDArray[np.bool_]:
@@ -320,7 +325,9 @@ def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
         float(by_branch.sum()) - direct_mm2,
         through_glass(scene, grid, correction_map.recovered),
         tuple(
-            _body_share(body, scene, correction_map, shown[body.name]) for body in scene.seen if body.room is None
+            _body_share(body, scene, correction_map, shown[body.name])
+            for body in scene.seen
+            if _stands_alone(body)
         ),
     )
 
