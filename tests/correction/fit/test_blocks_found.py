@@ -1,4 +1,4 @@
-"""Boxes and cuvettes found from rendered frames of a board, with the scene file off by its priors."""
+"""Boxes, cuvettes and prisms found from rendered frames of a board, with the scene file off by its priors."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from correction.target import Chessboard
 from sim.demo.scenes import at_size, demo_scene, misalign
 from tests.correction.fit.benches import map_error_px, photograph
 from tests.tracer.test_blocks import WATER
-from tracer.bodies import Block, Box
+from tracer.bodies import Block, Box, Prism
 from tracer.bodies.block import UNTURNED, rectangle, rotate_axes
 from tracer.media import MEDIA
 from tracer.strategies.branches import DIRECT
@@ -28,12 +28,13 @@ BLOCKS = {
     "cuvette": Box(
         "cuvette", rectangle(60.0, 50.0), 30.0, GLASS, (4.0, -3.0, 45.0), TILT, 2.5, WATER, carried_by="glass"
     ),
+    "prism": Prism("prism", ((-25.0, -20.0), (25.0, -20.0), (-25.0, -8.0)), 50.0, GLASS, (0.0, 10.0, 40.0), TILT),
 }  # fmt: skip
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(("kind", "seed"), [("box", 1), ("cuvette", 2)])
+@pytest.mark.parametrize(("kind", "seed"), [("box", 1), ("cuvette", 2), ("prism", 3)])
 def test_a_block_is_found_by_the_board_behind_and_beside_it(kind: str, seed: int) -> None:
     """Map <= 0.05 px rms beside it and through the faces that show corners, the rest within its sigma."""
     block: Block = BLOCKS[kind]
