@@ -118,7 +118,7 @@ PASS_CHANGE_PX, PASS_CHANGED_SHARE = 0.25, 0.03  # more vectors moved by more: a
 MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and the error that the rest may cause
 MAX_NOISE_PX = 0.5  # of one correlation: with more, a peak at a whole pixel (0.58 px) is no worse
 MATCH_SIDE = 1.5  # in last windows: side of the area around an uncertain vector that must match
-BEYOND_CUT = 0.5, 0.3  # share of the cut where the flow goes on behind a mask, of a pair and of what pairs share
+BEYOND_CUT = 0.5, 0.3, 0.3  # share of the cut where the flow goes on behind a mask: of a pair, of what pairs share
 RIM_CUT = 0.35  # share of the cut that counts where a rim is clean: errors near walls are then 0.8 to 1.2 sigma
 Floats = NDArray[np.float64]
 
