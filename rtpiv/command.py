@@ -8,9 +8,20 @@ import sys
 
 GARBAGE = 50_000  # new objects before Python looks for rings among them; modules and kernels bring five times that
 NO_DEVICES = (  # verbs that open none, whose libraries might have an end of their own
-    "init", "setup", "compare", "trace", "calibrate", "correct", "evaluate", "focus", "sheet", "mean", "report",
-    "export", "check",
-)  # fmt: skip
+    "init",
+    "setup",
+    "compare",
+    "trace",
+    "calibrate",
+    "correct",
+    "evaluate",
+    "focus",
+    "sheet",
+    "mean",
+    "report",
+    "export",
+    "check",
+)
 
 
 def run() -> int:

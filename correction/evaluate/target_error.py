@@ -310,13 +310,13 @@ def corrected_against_grid(
     """
     last: list[tuple[NDArray[np.float32], Corrector]] = []
 
-    def corrected() -> Iterator[tuple[NDArray[np.float32], Corrector]]:
+    def by_scene() -> Iterator[tuple[NDArray[np.float32], Corrector]]:
         for scene in scenes:
             corrector = prepare(scene).corrector
             last[:] = [(corrector(image), corrector)]
             yield last[0]
 
-    return target_errors(corrected(), board), last[0]
+    return target_errors(by_scene(), board), last[0]
 
 
 def _figures(region: str, error: NDArray[np.float64]) -> RegionErrors:

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 def find_poses(work: Progress) -> None:
     """Find the board in all frames of poses by hand, and start each pose where it is seen."""
-    placed = {frame.name: (False, _seen_mm(work, frame.corners.height_number)) for frame in work.bare}
+    placed = {frame.name: (False, _points_mm(work, frame.corners.height_number)) for frame in work.bare}
     for frame in [frame for frame in (*work.bare_frames, *work.glass_frames) if frame.pose]:
         if frame.glass and frame.pose in {one.pose for one in work.bare_frames}:
             continue  # the board has stood there since its frame without glass
@@ -47,7 +47,7 @@ def find_poses(work: Progress) -> None:
             continue
         measured = as_measured(frame.name, found, work.height_number(frame))
         _fit_pose(work, frame.pose, found, measured)
-        seen_mm = _seen_mm(work, measured.corners.height_number)
+        seen_mm = _points_mm(work, measured.corners.height_number)
         same = next(
             (name for name, other in placed.items() if _is_same(work, (frame.glass, seen_mm), other)), None
         )
@@ -142,7 +142,7 @@ def pinhole_poses(camera: Camera, found: BoardDetection) -> list[Array]:
     return out
 
 
-def _seen_mm(work: Progress, number: int) -> Array:
+def _points_mm(work: Progress, number: int) -> Array:
     """World points (4, 3) of four points of the board at a pose, some squares from its origin."""
     side = SAME_SQUARES * float(work.board.sides_mm.mean())
     around = np.array(((-side, -side), (side, -side), (side, side), (-side, side)))

@@ -116,14 +116,14 @@ class WindowMeans:
 
     def of(self, nodes: Floats) -> Floats:
         """Return means (ny, nx, C) of values (h, w, C) over the nodes that have one; NaN without."""
-        return _weighted_means(nodes, self.down, self.along)
+        return _window_average(nodes, self.down, self.along)
 
     def at_nodes(self, vectors: Floats) -> Floats:
         """Return means (h, w, 2) at nodes of the vectors (ny, nx, 2) whose windows hold them; NaN without."""
-        return _weighted_means(vectors, self.down.T, self.along.T)
+        return _window_average(vectors, self.down.T, self.along.T)
 
 
-def _weighted_means(values: Floats, down: NDArray[Any], along: NDArray[Any]) -> Floats:
+def _window_average(values: Floats, down: NDArray[Any], along: NDArray[Any]) -> Floats:
     """Means (m, n, C) of values (h, w, C), weighted along each axis; values that are NaN do not count."""
     seen = np.isfinite(values).all(axis=-1)
     total = down @ seen.astype(np.float64) @ along.T

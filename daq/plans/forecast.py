@@ -121,7 +121,7 @@ def forecast(
             step_s += stage.duration_s(here, move)
             here |= move
         too_fast = {name: link_excess(each, step) for name, each in seen.items()}
-        for said in (*_named(too_fast), _sheet_blocked(bench, step)):
+        for said in (*_with_names(too_fast), _sheet_blocked(bench, step)):
             if said:
                 violations.append(Violation(step.index, step.tag, said))
         steps_s.append(step_s + step.settle_s + STEP_OVERHEAD_S + frames_s(bench, step))
@@ -131,11 +131,11 @@ def forecast(
     frames, frame_bytes = frame_count(steps), sum(map(_frame_bytes, seen.values()))
     on_plane = sum(step.frames for step in steps if step.on_plane)
     disk = frames * frame_bytes, on_plane * frame_bytes
-    link = "\n".join(_named({name: link_said(each, steps) for name, each in seen.items()}))
+    link = "\n".join(_with_names({name: link_said(each, steps) for name, each in seen.items()}))
     return Forecast(frames, travel, duration_s, *disk, tuple(violations), link, tuple(steps_s))
 
 
-def _named(said: Mapping[str, str]) -> list[str]:
+def _with_names(said: Mapping[str, str]) -> list[str]:
     """Sentences about cameras, each with the name of its camera where there are several."""
     return [f"{name}: {one}" if len(said) > 1 else one for name, one in said.items() if one]
 

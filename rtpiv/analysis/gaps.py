@@ -149,9 +149,12 @@ def gap_share(scene: Scene, found: CorrectionMap, light: PlaneLight | None = Non
 
 
 def _ball_side(
-    disc: tuple[str, Vector2, float], found: CorrectionMap, gas: NDArray[np.bool_], is_lit: NDArray[np.bool_],
+    disc: tuple[str, Vector2, float],
+    found: CorrectionMap,
+    gas: NDArray[np.bool_],
+    is_lit: NDArray[np.bool_],
     light: PlaneLight,
-) -> BallSide | None:  # fmt: skip
+) -> BallSide | None:
     """Light in the gas (h, w) around a disc; None where the corrected image does not show any."""
     name, centre, radius = disc
     grid, reach = found.grid, (1.0 + RING) * radius

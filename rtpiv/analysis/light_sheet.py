@@ -123,9 +123,14 @@ def about_sheet(found: SheetFound, frames: Sequence[str]) -> dict[str, Any]:
     if cells is not None and fit is not None:
         tree |= {"scatter": fit.scatter, "across_px": fit.across_px}
         columns = zip(
-            cells.place_mm.tolist(), cells.kind.tolist(), cells.height_mm.tolist(), cells.height_sigma_mm.tolist(),
-            fit.residual_mm.tolist(), fit.weight.tolist(), strict=True,
-        )  # fmt: skip
+            cells.place_mm.tolist(),
+            cells.kind.tolist(),
+            cells.height_mm.tolist(),
+            cells.height_sigma_mm.tolist(),
+            fit.residual_mm.tolist(),
+            fit.weight.tolist(),
+            strict=True,
+        )
         names = ("place_mm", "views", "height_mm", "sigma_mm", "residual_mm", "weight")
         tree["cells"] = [dict(zip(names, row, strict=True)) for row in columns]
     return tree

@@ -72,10 +72,14 @@ class FirstUse:
             command, environment = child("rtpiv.command_line.first_use", self._verb, str(number), str(helpers))
             self._helpers.append(
                 subprocess.Popen(
-                    command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL, start_new_session=True,
+                    command,
+                    env=environment,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
                 )
-            )  # fmt: skip
+            )
 
     def finish(self, place: str) -> None:
         """One kernel is compiled."""

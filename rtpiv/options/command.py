@@ -11,12 +11,21 @@ from rtpiv.options.signature import REQUIRED, Option, signature, summary, title
 
 GROUPS = {  # verbs as `rtpiv --help` lists them
     "measure": (
-        "trace", "compare", "calibrate", "correct", "evaluate", "mean", "campaign", "report", "export", "sheet",
+        "trace",
+        "compare",
+        "calibrate",
+        "correct",
+        "evaluate",
+        "mean",
+        "campaign",
+        "report",
+        "export",
+        "sheet",
         "focus",
     ),
     "bench": ("acquire", "align", "bench", "laser"),
     "set-up": ("init", "setup", "check", "doctor", "demo"),
-}  # fmt: skip
+}
 VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
 PARTS = {  # verbs that need a second word, and what each is for
     "bench": ("stage", "camera", "live", "emulate"),
@@ -34,9 +43,12 @@ VARIANTS = {  # options that make another function of a verb, with other options
     "report": {"--view": "view"},
 }
 RENAMED = {  # until the next release
-    "resume": "acquire --resume", "join": "mean --join", "timeseries": "mean", "devices": "doctor",
+    "resume": "acquire --resume",
+    "join": "mean --join",
+    "timeseries": "mean",
+    "devices": "doctor",
     "probe": "doctor --probe",
-} | {part: f"{verb} {part}" for verb, parts in PARTS.items() for part in parts}  # fmt: skip
+} | {part: f"{verb} {part}" for verb, parts in PARTS.items() for part in parts}
 REMOVED = {"benchmark": "use python -m benchmarks --scenes SCENE in a checkout of the sources"}
 WORDS = {  # options with other names than their parameters
     "out": ("-o", "--out"),
@@ -255,10 +267,16 @@ def _add_option(parser: argparse._ActionsContainer, option: Option) -> None:
     unit = option.name.partition("_per_")[0].rpartition("_")[2]  # mm_per_px is a number of mm
     metavar: Any = unit.upper() if unit in UNITS else names[-1].removeprefix("--").rpartition("-")[2].upper()
     parser.add_argument(
-        *names, dest=option.name, type=_reader(kind.read), nargs=kind.many, choices=kind.choices,
-        metavar=None if kind.choices else metavar, required=option.default is REQUIRED,
-        default=None if option.default is REQUIRED else option.default, help=_help(option),
-    )  # fmt: skip
+        *names,
+        dest=option.name,
+        type=_reader(kind.read),
+        nargs=kind.many,
+        choices=kind.choices,
+        metavar=None if kind.choices else metavar,
+        required=option.default is REQUIRED,
+        default=None if option.default is REQUIRED else option.default,
+        help=_help(option),
+    )
 
 
 def _reader(name: str) -> Any:  # noqa: ANN401 - argparse takes any callable

@@ -111,10 +111,16 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
     clear_mm = min(SHEET_OFF_MM - 0.5, math.floor(10.0 * lab.sheet_clear_mm) / 10.0) if lab.layers else 3.5
     out, rail, top = room.glass_out_mm, room.rail_homed_mm, room.retract_mm
     lengths = {
-        "out_mm": out, "glass_mm": out - 10.0, "glass_low_mm": out - 5.0, "glass_travel_mm": 25.0 - out,
-        "rail_mm": rail, "rail_low_mm": rail + 5.0,
-        "retract_mm": top, "lift_mm": top + 10.0, "lift_travel_mm": top + 20.0,
-    }  # fmt: skip
+        "out_mm": out,
+        "glass_mm": out - 10.0,
+        "glass_low_mm": out - 5.0,
+        "glass_travel_mm": 25.0 - out,
+        "rail_mm": rail,
+        "rail_low_mm": rail + 5.0,
+        "retract_mm": top,
+        "lift_mm": top + 10.0,
+        "lift_travel_mm": top + 20.0,
+    }
     return fill(
         "bench.yaml",
         conditions,

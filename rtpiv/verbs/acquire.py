@@ -248,9 +248,13 @@ def run_and_report(
             watchers = watcher if shown is None else shown.watching(watcher)
             show = None if shown is None else shown.show
             done = run_session(
-                run, home, watchers, operator=person, show=show,
+                run,
+                home,
+                watchers,
+                operator=person,
+                show=show,
                 say=lambda sentence: screen.print(sentence, soft_wrap=True, highlight=False),
-            )  # fmt: skip
+            )
     except (BadBalance, FrameDoubt):
         said = f"the run is in {folder.path}; its contents are uncertain, so it cannot be resumed"
         error_console().print(said, soft_wrap=True, highlight=False)

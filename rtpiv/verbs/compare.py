@@ -124,9 +124,18 @@ def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count:
     title = f"{count} arrangements, f/{f_number:g}, wanted {error_px:g} px{more}"
     table = Table(title=title, box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name in (
-        "", "balls", "f, L", "usable\n%", "FOV_in\n%", "noise\npx", "sigma\npx", "10 um\npx", "blur\npx",
-        "depth\nmm", "light",
-    ):  # fmt: skip
+        "",
+        "balls",
+        "f, L",
+        "usable\n%",
+        "FOV_in\n%",
+        "noise\npx",
+        "sigma\npx",
+        "10 um\npx",
+        "blur\npx",
+        "depth\nmm",
+        "light",
+    ):
         table.add_column(name, justify="left" if name == "balls" else "right", no_wrap=True)
     for number, view in enumerate(best[:SHOWN_VIEWS], start=1):
         lab = view.lab

@@ -73,12 +73,14 @@ def _bash_case(command: str) -> str:
     of_options = [f'      case "$before" in {each} esac' for each in [" ".join(chosen)] if each]
     every, plain = " ".join(filter(None, options)), options.get("", ("", ""))[1]
     pattern = f'"{command}"' if " " in command else f'"{command} "*'
-    return "\n".join([
-        f"    {pattern})",
-        *of_options,
-        f'      if [[ -z "$words" && "$now" == -* ]]; then words="{every}"',
-        f'      elif [[ -z "$words" ]]; then words="{plain}"; fi ;;',
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"    {pattern})",
+            *of_options,
+            f'      if [[ -z "$words" && "$now" == -* ]]; then words="{every}"',
+            f'      elif [[ -z "$words" ]]; then words="{plain}"; fi ;;',
+        ]
+    )
 
 
 def _fish() -> str:

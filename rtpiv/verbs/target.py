@@ -152,8 +152,9 @@ def target(
         screen.print(
             f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and record them:"
             f" rtpiv setup target {kept} --measured-mm X Y",
-            soft_wrap=True, highlight=False,
-        )  # fmt: skip
+            soft_wrap=True,
+            highlight=False,
+        )
         if described is None and kind != "particles":
             screen.print(
                 f"the line for a bench file: target: {{board: {kept.absolute()}}}", soft_wrap=True, highlight=False

@@ -251,8 +251,13 @@ def _body_table(share: PlaneShare) -> Table:
     unseen = len(share.bodies) - SHOWN_BODIES
     more = f"; {unseen} smaller ones are left out" if unseen > 0 else ""
     columns = (
-        "body", "hides [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mainly lost", "seen through it [mm\u00b2]",
-    )  # fmt: skip
+        "body",
+        "hides [mm\u00b2]",
+        "recovered",
+        "lost [mm\u00b2]",
+        "mainly lost",
+        "seen through it [mm\u00b2]",
+    )
     largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
     rows = [_body_row(body) for body in largest]
     return Table("area of the plane hidden by each body" + more, columns, rows, left=(0, 4))
@@ -266,11 +271,16 @@ def _light_table(lit: LitGaps) -> Table:
     )
     columns = ("ball", "gas [mm\u00b2]", "seen", "lit", "lit and seen", "brightness", "height [mm]")
     rows = [
-        (short(side.name, LONGEST_BODY_NAME), f"{side.gas_mm2:.1f}", percent(side.seen), percent(side.lit),
-         percent(side.both),
-         *((f"{side.brightness:.2f}", f"{side.height_mm:+z.3f}") if side.lit else ("-", "-")))
+        (
+            short(side.name, LONGEST_BODY_NAME),
+            f"{side.gas_mm2:.1f}",
+            percent(side.seen),
+            percent(side.lit),
+            percent(side.both),
+            *((f"{side.brightness:.2f}", f"{side.height_mm:+z.3f}") if side.lit else ("-", "-")),
+        )
         for side in sorted(lit.balls, key=lambda side: -side.gas_mm2)[:SHOWN_BODIES]
-    ]  # fmt: skip
+    ]
     return Table(title, columns, rows)
 
 

@@ -25,8 +25,15 @@ from piv.files.vector_file import Vectors
 NOISE_OF_RMS = 0.01  # noise level where no uncertainty is stated, over the rms of the vectors
 # Fields of a vector that are kept where it is rejected or replaced: how it was measured, not what
 KEPT_FIELDS = (
-    "chc", "flag", "correlation", "peak_ratio", "valid_fraction", "map_sigma_x", "map_sigma_y", "count",
-)  # fmt: skip
+    "chc",
+    "flag",
+    "correlation",
+    "peak_ratio",
+    "valid_fraction",
+    "map_sigma_x",
+    "map_sigma_y",
+    "count",
+)
 Limits = tuple[float, float]
 
 
@@ -130,9 +137,10 @@ def _components(vectors: Vectors, time: int) -> NDArray[np.float64]:
 
 def _noise(vectors: Vectors, time: int, uv: NDArray[np.float64]) -> float:
     """Noise level of a component: the median of its stated random uncertainty, in the unit of the file."""
-    stated = np.concatenate([
-        np.ravel(vectors.fields[name][time]) for name in ("sigma_u", "sigma_v") if name in vectors.fields
-    ] or [np.empty(0)])  # fmt: skip
+    stated = np.concatenate(
+        [np.ravel(vectors.fields[name][time]) for name in ("sigma_u", "sigma_v") if name in vectors.fields]
+        or [np.empty(0)]
+    )
     stated = stated[np.isfinite(stated) & (stated > 0.0)]
     rms = float(np.sqrt(np.mean(np.square(uv))))
     return float(np.median(stated)) if stated.size else max(NOISE_OF_RMS * rms, np.finfo(float).tiny)

@@ -62,20 +62,45 @@ UNFILTERED = (
 )
 USUAL = "usual_window"
 PER_TIME = (  # in m/s, or in mm
-    *UNFILTERED, "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "map_sigma_u", "map_sigma_v",
-    "slant_sigma_u", "slant_sigma_v", "total_sigma_u", "total_sigma_v",
-)  # fmt: skip
+    *UNFILTERED,
+    "u",
+    "v",
+    "sigma_u",
+    "sigma_v",
+    "resolution",
+    "resolution_steady",
+    "map_sigma_u",
+    "map_sigma_v",
+    "slant_sigma_u",
+    "slant_sigma_v",
+    "total_sigma_u",
+    "total_sigma_v",
+)
 UNITS = {
-    "displacement_x": "pixel", "displacement_y": "pixel", "delta_t": "s", "sigma_delta_t": "s",
-    "x": LENGTH, "y": LENGTH, "map_sigma_x": LENGTH, "map_sigma_y": LENGTH,
-}  # fmt: skip
+    "displacement_x": "pixel",
+    "displacement_y": "pixel",
+    "delta_t": "s",
+    "sigma_delta_t": "s",
+    "x": LENGTH,
+    "y": LENGTH,
+    "map_sigma_x": LENGTH,
+    "map_sigma_y": LENGTH,
+}
 RATE, ONE = "s-1", "1"
 RATES = ("vorticity", "divergence", "shear", "swirling_strength")
 SLOPES = ("dxdz", "dydz")
 MEASURED = (
-    "u", "v", "sigma_u", "sigma_v", "resolution", "resolution_steady", "displacement_x", "displacement_y",
-    "correlation", *UNFILTERED,
-)  # fmt: skip
+    "u",
+    "v",
+    "sigma_u",
+    "sigma_v",
+    "resolution",
+    "resolution_steady",
+    "displacement_x",
+    "displacement_y",
+    "correlation",
+    *UNFILTERED,
+)
 Floats = NDArray[np.float64]
 
 

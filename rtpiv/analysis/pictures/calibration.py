@@ -86,9 +86,12 @@ def map_sigma_figure(sigma: MapSigma, scene: Scene) -> Figure:
     x0, y0, pitch = *sigma.grid.origin_mm, sigma.grid.pitch_mm
     extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
     shown = axes.imshow(
-        np.maximum(total, low), extent=extent, cmap=SIGMAS, norm=LogNorm(low, max(high, 1.01 * low)),
+        np.maximum(total, low),
+        extent=extent,
+        cmap=SIGMAS,
+        norm=LogNorm(low, max(high, 1.01 * low)),
         interpolation="nearest",
-    )  # fmt: skip
+    )
     bar = colour_bar(shown, axes, "sigma [corrected px]")
     within = MaxNLocator(3, steps=[1, 2, 5, 10])  # of less than a decade a logarithmic one finds a dozen
     bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 5.0 * low else within)

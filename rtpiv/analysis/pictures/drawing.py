@@ -78,9 +78,14 @@ def _from_the_side(axes: Axes, scene: Scene, cut: Section, reach: tuple[float, f
     x, s = float(place[1]), float(place[0])
     axes.add_patch(Polygon([(x, s), (x + box, s - box), (x + box, s + box)], color=INK, lw=0))
     axes.annotate(
-        f"camera, pinhole at z = {place[1]:.6g} mm", (x + box, s + box), (0, 4), textcoords="offset points",
-        ha="right", fontsize=8, color=INK,
-    )  # fmt: skip
+        f"camera, pinhole at z = {place[1]:.6g} mm",
+        (x + box, s + box),
+        (0, 4),
+        textcoords="offset points",
+        ha="right",
+        fontsize=8,
+        color=INK,
+    )
     low, high = min(reach[0], s - 2 * box), max(reach[1], s + 2 * box)
     margin = 0.06 * (high - low)
     axes.set(xlim=(-0.04 * x, x + 1.5 * box), ylim=(low - margin, high + 3 * margin), aspect="equal")
@@ -132,8 +137,18 @@ def _cut(axes: Axes, scene: Scene, cut: Section, frame: tuple[float, float, floa
                 colours.append(shade)
         if len(balls) <= MOST_NAMES:
             name = short(ball.name) + ("" if is_central(cut, ball) else f"\n{abs(off):.2g} mm off")
-            axes.text(z, s, name, ha="center", va="center", fontsize=8, color=INK if ball.media else "white",
-                      parse_math=False, zorder=5, clip_on=True)  # fmt: skip
+            axes.text(
+                z,
+                s,
+                name,
+                ha="center",
+                va="center",
+                fontsize=8,
+                color=INK if ball.media else "white",
+                parse_math=False,
+                zorder=5,
+                clip_on=True,
+            )
     _add(axes, patches, colours, 0.55)
     axes.set(xlim=(-0.05 * top, top), ylim=(low, high), aspect="equal")
     for body in scene.others:

@@ -118,10 +118,17 @@ def draw_outlines(axes: Axes, scene: Scene, names: bool = True) -> None:
     for body, outline in known[:MOST_NAMES] if names else ():
         x, y = 0.5 * (outline[:, 0].min() + outline[:, 0].max()), outline[:, 1].max()
         name = axes.annotate(
-            short(body.name), (x, y), (0, 3), textcoords="offset points", ha="center", fontsize=8, color=INK,
-            parse_math=False, annotation_clip=True,
+            short(body.name),
+            (x, y),
+            (0, 3),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+            color=INK,
+            parse_math=False,
+            annotation_clip=True,
             bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
-        )  # fmt: skip
+        )
         name.set_in_layout(False)
 
 

@@ -93,9 +93,17 @@ def draw_light_sheet(path: Path, found: "SheetFound", size_mm: tuple[float, floa
                     continue
                 shown = axes.scatter(
                     cells.place_mm[here, 0],
-                    cells.place_mm[here, 1], c=values[here], vmin=limits[0], vmax=limits[1], cmap="coolwarm", s=60,
-                    marker=MARKERS[number % len(MARKERS)], edgecolors="#444c5c", linewidths=0.5, label=ways,
-                )  # fmt: skip
+                    cells.place_mm[here, 1],
+                    c=values[here],
+                    vmin=limits[0],
+                    vmax=limits[1],
+                    cmap="coolwarm",
+                    s=60,
+                    marker=MARKERS[number % len(MARKERS)],
+                    edgecolors="#444c5c",
+                    linewidths=0.5,
+                    label=ways,
+                )
             colour_bar(shown, axes, "mm")
             axes.legend(fontsize=7, loc="upper left")
         axes.set(xlim=(-width / 2, width / 2), ylim=(-height / 2, height / 2), aspect="equal", xlabel="x' [mm]")

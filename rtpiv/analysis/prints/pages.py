@@ -234,5 +234,13 @@ def _bar(axes: "Axes", start: tuple[float, float], way: tuple[float, float], tex
         tick = (1.5, 0.0) if dx == 0.0 else (0.0, 1.5)
         axes.plot([cx - tick[0], cx + tick[0]], [cy - tick[1], cy + tick[1]], **HAIR)
     turned = 90.0 if dx == 0.0 else 0.0
-    axes.text(x + 0.25 * dx, y + 0.25 * dy, text, ha="center", va="center", rotation=turned, fontsize=6.0,
-              bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0})  # fmt: skip
+    axes.text(
+        x + 0.25 * dx,
+        y + 0.25 * dy,
+        text,
+        ha="center",
+        va="center",
+        rotation=turned,
+        fontsize=6.0,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+    )

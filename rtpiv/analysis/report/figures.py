@@ -113,10 +113,20 @@ def draw_arrows(
     cut = length > MAX_ARROW * longest
     drawn = np.where(cut[:, None], shift * (MAX_ARROW * longest / np.maximum(length, 1e-300))[:, None], shift)
     arrows = axes.quiver(
-        *place.T, *drawn.T, color=np.where(cut, CUT, colours), pivot="mid", angles="xy", scale_units="xy",
-        scale=longest / cell_mm, width=0.0034, headwidth=3.6, headlength=4.2, headaxislength=3.6,
-        edgecolor="white", linewidth=0.3,
-    )  # fmt: skip
+        *place.T,
+        *drawn.T,
+        color=np.where(cut, CUT, colours),
+        pivot="mid",
+        angles="xy",
+        scale_units="xy",
+        scale=longest / cell_mm,
+        width=0.0034,
+        headwidth=3.6,
+        headlength=4.2,
+        headaxislength=3.6,
+        edgecolor="white",
+        linewidth=0.3,
+    )
     if scale is not None and len(length):
         said = f"{longest * scale[0]:.2g} {scale[1]}"
         axes.quiverkey(arrows, 0.04, 1.03, longest, said, labelpos="E", labelsep=0.06, fontproperties={"size": 8})

@@ -118,9 +118,14 @@ def maps_figure(mean: MeanFlow, scene: Scene, maps: Sequence[tuple[str, Floats]]
         top = max(float(np.percentile(np.abs(known), 99)), 1e-12) if known.size else 1.0
         both = bool(known.size) and float(np.percentile(known, 2)) < -0.05 * top
         image = axes.imshow(
-            values, extent=extent, origin="lower", interpolation="nearest", cmap=SIGNED if both else HEAT,
-            vmin=-top if both else 0.0, vmax=top,
-        )  # fmt: skip
+            values,
+            extent=extent,
+            origin="lower",
+            interpolation="nearest",
+            cmap=SIGNED if both else HEAT,
+            vmin=-top if both else 0.0,
+            vmax=top,
+        )
         _plane(axes, mean, scene)
         axes.tick_params(labelsize=7)
         colour_bar(image, axes, label, "both" if both else "max")
@@ -291,10 +296,16 @@ def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> N
         covered = float(np.mean(np.abs(steps.step) < steps.sigma))
         weight = steps.sigma**-2
         mid, rms = (weight * steps.step).sum(axis=0) / weight.sum(axis=0), np.sqrt(np.mean(steps.step**2, axis=0))
-        rows.append((
-            f"{centre[0]:.1f}, {centre[1]:.1f}", str(len(steps.place)), f"{mid[0]:+.4f}, {mid[1]:+.4f}",
-            f"{rms[0]:.4f}, {rms[1]:.4f}", f"{np.sqrt(np.mean(steps.sigma**2)):.4f}", f"{100 * covered:.0f} %",
-        ))  # fmt: skip
+        rows.append(
+            (
+                f"{centre[0]:.1f}, {centre[1]:.1f}",
+                str(len(steps.place)),
+                f"{mid[0]:+.4f}, {mid[1]:+.4f}",
+                f"{rms[0]:.4f}, {rms[1]:.4f}",
+                f"{np.sqrt(np.mean(steps.sigma**2)):.4f}",
+                f"{100 * covered:.0f} %",
+            )
+        )
         if not drawn:
             said = "Step of the mean displacement across the rim, piece by piece, with 1 sigma."
             page.figure("rim", steps_figure(steps, centre), said)

@@ -45,12 +45,21 @@ def write_focus_page(path: Path, name: str, scan: FocusScan) -> None:
     """Write the page of a scan; `name` is the run's."""
     page = Page(f"{name}: focus through glass", f"{len(scan.z_mm)} places of the {scan.moves}")
     known = np.isfinite(scan.needed_mm)
-    page.tiles([
-        (f"{scan.needed_mm:.1f} mm" if known else "-", "depth that the scene needs",
-         f"+- {scan.needed_sigma_mm:.1f} mm" if known else "too few parts are sharp in this scan"),
-        (f"{scan.depth_mm:.1f} mm", f"depth at f/{scan.f_number:g}", f"M = {scan.magnification:.3f}, eq. 1"),
-        (f"f/{scan.needed_f_number:.1f}" if known else "-", "asked for by eq. 1", f"{scan.wavelength_nm:g} nm"),
-    ])  # fmt: skip
+    page.tiles(
+        [
+            (
+                f"{scan.needed_mm:.1f} mm" if known else "-",
+                "depth that the scene needs",
+                f"+- {scan.needed_sigma_mm:.1f} mm" if known else "too few parts are sharp in this scan",
+            ),
+            (f"{scan.depth_mm:.1f} mm", f"depth at f/{scan.f_number:g}", f"M = {scan.magnification:.3f}, eq. 1"),
+            (
+                f"f/{scan.needed_f_number:.1f}" if known else "-",
+                "asked for by eq. 1",
+                f"{scan.wavelength_nm:g} nm",
+            ),
+        ]
+    )
     page.text(focus_sentence(scan))
     page.table(focus_table(scan))
     page.figure(

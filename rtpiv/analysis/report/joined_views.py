@@ -52,9 +52,12 @@ def write_views_page(path: Path, series: Sequence[SeriesView], joined: JoinedVie
         views = _map_figure(joined, joined.views.astype(np.float64), first, "views")
         page.figure("views", views, "Number of views that have a mean.", dense=True)
         sigma = vector_figure(
-            field, first.grid, first.scene, np.linalg.norm(joined.total_sigma_m_s[..., :2], axis=-1)[::-1],
+            field,
+            first.grid,
+            first.scene,
+            np.linalg.norm(joined.total_sigma_m_s[..., :2], axis=-1)[::-1],
             f"sigma of u, v [{unit}]",
-        )  # fmt: skip
+        )
         page.figure("sigma", sigma, "All that is known of the uncertainty of u and v.", dense=True)
     page.table(_table(series, joined))
     for line in joined.sentences:
@@ -103,9 +106,14 @@ def _map_figure(joined: JoinedViews, values: NDArray[np.float64], view: SeriesVi
     end = max(float(np.nanpercentile(np.abs(values), SCALE_PERCENTILE)), 1e-12)
     signed = bool(np.nanmin(values) < 0.0)
     image = axes.imshow(
-        values, extent=extent, origin="lower", cmap="RdBu_r" if signed else "viridis",
-        vmin=-end if signed else 0.0, vmax=end, interpolation="nearest",
-    )  # fmt: skip
+        values,
+        extent=extent,
+        origin="lower",
+        cmap="RdBu_r" if signed else "viridis",
+        vmin=-end if signed else 0.0,
+        vmax=end,
+        interpolation="nearest",
+    )
     axes.set_facecolor(NOTHING)
     draw_outlines(axes, view.scene, names=False)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=extent[:2], ylim=extent[2:])

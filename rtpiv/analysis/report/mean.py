@@ -110,11 +110,15 @@ def write_mean_page(
     page.links([Link(name, name) for name in names if (folder / name).is_file()])
     page.heading("Provenance")
     content = about["content"]
-    page.facts([
-        ("run", about["run"]), ("frames", ", ".join(content["preparation"]) or "as acquired"),
-        ("correlation", ", ".join(f"{name} {value}" for name, value in content["settings"].items())),
-        *([] if tells_a_scale_alone(scene) else [("scene", scene.content_hash())]), ("rtpiv", version("rtpiv")),
-    ])  # fmt: skip
+    page.facts(
+        [
+            ("run", about["run"]),
+            ("frames", ", ".join(content["preparation"]) or "as acquired"),
+            ("correlation", ", ".join(f"{name} {value}" for name, value in content["settings"].items())),
+            *([] if tells_a_scale_alone(scene) else [("scene", scene.content_hash())]),
+            ("rtpiv", version("rtpiv")),
+        ]
+    )
     page.write(path)
 
 
@@ -138,10 +142,13 @@ def mean_lead(mean: MeanFlow, regions: Regions, behind_any: bool = True) -> tupl
         return float(np.linalg.norm(along * part[top]))
 
     unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
-    asked = (("scatter of the pairs", mean.sigma_m_s), ("not resolved by the windows", unresolved),
-             ("timing error of dt", mean.dt_sigma_m_s),
-             ("correction map" if behind_any else "scale", mean.map_sigma_m_s),
-             ("flow through the sheet", mean.slant_sigma_m_s))  # fmt: skip
+    asked = (
+        ("scatter of the pairs", mean.sigma_m_s),
+        ("not resolved by the windows", unresolved),
+        ("timing error of dt", mean.dt_sigma_m_s),
+        ("correction map" if behind_any else "scale", mean.map_sigma_m_s),
+        ("flow through the sheet", mean.slant_sigma_m_s),
+    )
     rows: list[tuple[str, ...]] = []
     for what, part in (*asked, ("total", mean.total_sigma_m_s)):
         sizes = () if part is None else (of_it(part), of_it(part) * mean.px_per_m_s)

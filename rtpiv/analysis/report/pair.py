@@ -158,12 +158,19 @@ def scene_chapter(page: Page, scene: Scene) -> None:
     page.heading("Scene")
     page.figure("scene", draw_scene_of_page(scene, page.twice), CAPTION if scene.bodies else PLAIN_CAPTION)
     rows = [
-        (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
-         "opaque" if s.medium is None else ", ".join(
-             [f"{s.medium.n(scene.wavelength_nm):.5f}"]
-             + [f"{c.medium.n(scene.wavelength_nm):.5f} within {c.radius_mm:.4f} mm" for c in s.cores]))
+        (
+            s.name,
+            ", ".join(f"{c:.4f}" for c in s.centre_mm),
+            f"{s.radius_mm:.4f}",
+            "opaque"
+            if s.medium is None
+            else ", ".join(
+                [f"{s.medium.n(scene.wavelength_nm):.5f}"]
+                + [f"{c.medium.n(scene.wavelength_nm):.5f} within {c.radius_mm:.4f} mm" for c in s.cores]
+            ),
+        )
         for s in scene.spheres
-    ]  # fmt: skip
+    ]
     if rows:
         columns = ("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm")
         radii = sorted({f"{s.radius_mm:.4g}" for s in scene.spheres}, key=float)
@@ -246,8 +253,12 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
         )
     if evaluation.task.dt_s is not None:
         per_px = 1e-3 * grid.pitch_mm / evaluation.task.dt_s
-        page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
-                    ("1 px of displacement is", f"{per_px:.6g} m/s")])  # fmt: skip
+        page.facts(
+            [
+                ("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
+                ("1 px of displacement is", f"{per_px:.6g} m/s"),
+            ]
+        )
         page.table(tables.displacement_table(evaluation))
     page.table(tables.count_table(field))
     use = "may be used" if is_plain(evaluation) else "are recovered"

@@ -87,11 +87,20 @@ def displacement_chapter(page: Page, folder: RunFolder) -> None:
     by_hand = any("sigma_mm" in entry for entry in moved)
     page.heading("Displacements of the target")
     rows = [
-        (entry["tag"], *("-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
-                         for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])),
-         *((", ".join("-" if c is None else f"{c:.4f}" for c in entry.get("sigma_mm", ())),) if by_hand else ()))
+        (
+            entry["tag"],
+            *(
+                "-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
+                for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])
+            ),
+            *(
+                (", ".join("-" if c is None else f"{c:.4f}" for c in entry.get("sigma_mm", ())),)
+                if by_hand
+                else ()
+            ),
+        )
         for entry in moved[:MAX_ROWS]
-    ]  # fmt: skip
+    ]
     head: tuple[str, ...] = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
     head += ("sigma of measured, as read by hand",) if by_hand else ()
     page.table(Table("Displacement of the target. Errors above are against the measured one.", head, rows))

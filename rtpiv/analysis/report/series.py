@@ -167,8 +167,10 @@ def _limits(frame: NDArray[Any]) -> tuple[float, float]:
 def series_lead(shown: Preview) -> tuple[str, Table]:
     """Random uncertainty of a vector of one pair, u and v apart; that of the map stands with the mean."""
     field = shown.field
-    both = [np.median(sigma[field.valid]) if field.valid.any() else np.nan
-            for sigma in (field.sigma_u_px, field.sigma_v_px)]  # fmt: skip
+    both = [
+        np.median(sigma[field.valid]) if field.valid.any() else np.nan
+        for sigma in (field.sigma_u_px, field.sigma_v_px)
+    ]
     scale, unit = per_px(shown.grid.pitch_mm, shown.dt_s), shown.length if shown.dt_s is None else "m/s"
     said = (
         f"random standard uncertainty u, v of one vector: median of {int(field.valid.sum())} of pair {shown.tag}"
@@ -261,5 +263,6 @@ def _provenance(page: Page, given: SeriesInput) -> None:
     content, scene = given.method.content, given.method.scene
     of_scene = [] if tells_a_scale_alone(scene) else [("scene", scene.content_hash())]
     settings = ", ".join(f"{name} {value}" for name, value in content["settings"].items())
-    page.facts([("run", readable_name(given.run)), *of_scene,
-                ("correlation", settings), ("rtpiv", version("rtpiv"))])  # fmt: skip
+    page.facts(
+        [("run", readable_name(given.run)), *of_scene, ("correlation", settings), ("rtpiv", version("rtpiv"))]
+    )

@@ -29,10 +29,14 @@ def time_series_page(found: TimeSeries, title: str) -> Page:
         page.text(f"No spectrum: {found.why_none}.")
     elif points.size:
         page.heading("Spectra")
-        page.figure("spectra", _spectra(found, points, unit), (
-            f"Power spectral density. In 95 of 100 cases the truth lies within {found.spectrum.least:.2f} and "
-            f"{found.spectrum.most:.2f} times what is drawn. Dashed: what the errors of vectors make of it."
-        ))  # fmt: skip
+        page.figure(
+            "spectra",
+            _spectra(found, points, unit),
+            (
+                f"Power spectral density. In 95 of 100 cases the truth lies within {found.spectrum.least:.2f} and "
+                f"{found.spectrum.most:.2f} times what is drawn. Dashed: what the errors of vectors make of it."
+            ),
+        )
     if found.on_line.any():
         page.heading("Along the line")
         page.figure(

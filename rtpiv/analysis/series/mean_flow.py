@@ -362,11 +362,24 @@ def mean_flow(chunks: Iterable[ChunkContent], settings: PivSettings | None = Non
         lost = np.hypot(lost, denoised.taken)
     unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(of_mean), lost), of_mean)
     return MeanFlow(
-        first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, total,
-        _of_series(kept) if kept else blocks.result().effective(), used, usual,
-        unsure, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
-        denoised=denoised, too_few=too_few, is_timed=is_timed,
-    )  # fmt: skip
+        first.x_mm,
+        first.y_mm,
+        first.px_per_mm,
+        first.window_px,
+        first.step_px,
+        dt_s,
+        total,
+        _of_series(kept) if kept else blocks.result().effective(),
+        used,
+        usual,
+        unsure,
+        missing.of_stresses(shared, total.reynolds_stresses),
+        dt_sigma_share,
+        tuple(left_out),
+        denoised=denoised,
+        too_few=too_few,
+        is_timed=is_timed,
+    )
 
 
 def image_field(mean_m_s: Floats, sigma_m_s: Floats, px_per_m_s: float, windows: WindowGrid) -> VectorField:

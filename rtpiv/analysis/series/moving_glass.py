@@ -102,12 +102,18 @@ def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[Seri
     rates = [_largest_rates(each, names) for each in series]
     at = steps_to_apply(path, np.max(rates, axis=0))
     found = [
-        replace(each, given=replace(each.given, pairs=tuple(
-            pair if not step.any() else replace(pair, scene=move_balls(each.method.scene, names, step))
-            for pair, step in zip(each.given.pairs, at, strict=True)
-        )))
+        replace(
+            each,
+            given=replace(
+                each.given,
+                pairs=tuple(
+                    pair if not step.any() else replace(pair, scene=move_balls(each.method.scene, names, step))
+                    for pair, step in zip(each.given.pairs, at, strict=True)
+                ),
+            ),
+        )
         for each in series
-    ]  # fmt: skip
+    ]
     return found, len(np.unique(at, axis=0))
 
 

@@ -175,8 +175,15 @@ def run_series(
         )
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
     names = {pair.tag: pair.names for pair in given.pairs if pair.tag not in pair.frames[0].name}
-    return Evaluated(len(given.pairs), reasons, series=folder, kept=kept, warnings=check.warnings,
-                     valid_share=check.valid_share, names=names)  # fmt: skip
+    return Evaluated(
+        len(given.pairs),
+        reasons,
+        series=folder,
+        kept=kept,
+        warnings=check.warnings,
+        valid_share=check.valid_share,
+        names=names,
+    )
 
 
 def _with_readings(given: PairsOfSeries, tag: str, found: Detailed) -> Detailed:

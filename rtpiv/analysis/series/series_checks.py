@@ -74,8 +74,11 @@ def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, m
         moved += list(np.where(valid[..., None], both, np.nan))
         pairs += job.pairs
     share = float(np.median(share_of)) if share_of else 1.0
-    speeds = [np.linalg.norm(one, axis=-1) * 1e-3 * mm_per_px / pair.dt_s
-              for pair, one in zip(pairs, moved, strict=True) if pair.dt_s is not None]  # fmt: skip
+    speeds = [
+        np.linalg.norm(one, axis=-1) * 1e-3 * mm_per_px / pair.dt_s
+        for pair, one in zip(pairs, moved, strict=True)
+        if pair.dt_s is not None
+    ]
     speed = np.concatenate([each[np.isfinite(each)] for each in speeds]) if speeds else np.zeros(0)
     warnings = scale_warnings(float(np.median(speed)) if speed.size else 0.0, scene.camera.sensor_px[0], mm_per_px)
     copied = {tag for tag, why in failed.items() if why in (ONE_PICTURE, REPEATED)}

@@ -239,8 +239,11 @@ def _between(vectors: Vectors, values: Floats, points: Floats) -> Floats:
     (i, s), (j, t) = (_cell(axis, points[:, n]) for n, axis in enumerate((vectors.x_mm, vectors.y_mm)))
     total = np.zeros((len(values), len(points), 2))
     for down, along, weight in (
-        (0, 0, (1 - s) * (1 - t)), (0, 1, s * (1 - t)), (1, 0, (1 - s) * t), (1, 1, s * t)
-    ):  # fmt: skip
+        (0, 0, (1 - s) * (1 - t)),
+        (0, 1, s * (1 - t)),
+        (1, 0, (1 - s) * t),
+        (1, 1, s * t),
+    ):
         # A vector that has no weight is not asked: places on vectors need no neighbours.
         part = values[:, np.minimum(j + down, len(vectors.y_mm) - 1), np.minimum(i + along, len(vectors.x_mm) - 1)]
         total += np.where(weight[:, None] > 0.0, weight[:, None] * part, 0.0)
