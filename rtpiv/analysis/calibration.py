@@ -1,6 +1,6 @@
 """Summary of a calibration: its numbers, Table 2 before and after, parameters that the frames leave open."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -20,11 +20,13 @@ from correction.fit.judge.weakness import Weakness, weaknesses
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.unknowns import unit_of
 from correction.fitted.map_sigma import MapSigma
+from correction.maps.corrector import Corrector
 from rtpiv.analysis.digits import two_digits
-from rtpiv.analysis.pictures.before_after import layers_of
 from rtpiv.analysis.through_glass import ThroughGlass, through_scene
 
 HARMLESS_PX = 0.05  # of the map, at the median: correlated numbers move nothing that vectors would show
+Layers = tuple[tuple[str, str], ...]  # name and data address
+Draw = Callable[[NDArray[Any], NDArray[np.float32], Corrector], Layers]
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
 
 
@@ -59,7 +61,7 @@ class Calibration:
     panels: list[Panel]
     weak: list[Weakness]
     seconds: float
-    layers: tuple[tuple[str, str], ...] = ()
+    layers: Layers = ()
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
@@ -167,18 +169,23 @@ class Calibration:
         }
 
 
-def calibration_of(fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], seconds: float) -> Calibration:
-    """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0."""
+def calibration_of(
+    fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], seconds: float, draw: Draw | None = None
+) -> Calibration:
+    """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0.
+
+    `draw` makes pictures of this frame as acquired and as the fitted scene corrects it.
+    """
     senses: dict[str, list[RegionErrors]] = {}
     grids: dict[str, TargetError] = {}
     panels: list[Panel] = []
-    layers: tuple[tuple[str, str], ...] = ()
+    layers: Layers = ()
     for frame in [frame for frame in frames if frame.glass and not (frame.pose or frame.height_mm)][:1]:
         number = fit.frames.index(frame.name)
         scenes = {"nominal glass": aligned(fit), "fitted": fit.scene}
         errors, (corrected, corrector) = corrected_against_grid([*scenes.values()], frame.image, fit.board)
         grids = dict(zip(scenes, errors, strict=True))
-        layers = layers_of(frame.image, corrected, corrector)
+        layers = () if draw is None else draw(frame.image, corrected, corrector)
         for name, scene in scenes.items():
             senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, fit.board)
             panels.append((f"{name}, computer-generated minus acquired", pixel, error))

@@ -22,6 +22,7 @@ from ground.printable import readable_name
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
+from rtpiv.analysis.pictures.before_after import layers_of
 from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.options.numbers import Positive
 from rtpiv.verbs.calibrate_lens import calibrate_lens, poses_in
@@ -135,7 +136,7 @@ def write_fit(
     say("standard deviation of the map")
     sigma = map_sigma(fit)
     say("errors before and after")
-    found = calibration_of(fit, sigma, frames, seconds)
+    found = calibration_of(fit, sigma, frames, seconds, layers_of if name else None)
     save_fit(out / "fit.npz", fit)
     sigma.save(out / "map_sigma.npz")
     write_json(out / "calibration.json", found.to_dict())

@@ -339,21 +339,11 @@ def join_views(
     is_used = np.any(fit.found.gains != 0.0, axis=(-2, -1))
     bits = (1 << np.arange(len(views)))[:, None, None]
     joined = JoinedViews(
-        first.x_mm,
-        first.y_mm,
-        uvw,
-        np.sqrt(np.where(np.isnan(uvw), np.nan, random)),
-        np.sqrt(np.where(np.isnan(uvw), np.nan, random + systematic + taken)),
-        fit.found.views,
-        np.asarray((is_used * bits).sum(axis=0), np.int32),
-        chi,
-        tuple(residuals.tolist()),
-        _shares(series),
-        None if sums is None else sums.with_w,
-        samples,
-        first.px_per_m_s,
-        first.unit,
-    )
+        first.x_mm, first.y_mm, uvw, np.sqrt(np.where(np.isnan(uvw), np.nan, random)),
+        np.sqrt(np.where(np.isnan(uvw), np.nan, random + systematic + taken)), fit.found.views,
+        np.asarray((is_used * bits).sum(axis=0), np.int32), chi, tuple(residuals.tolist()), _shares(series),
+        None if sums is None else sums.with_w, samples, first.px_per_m_s, first.unit,
+    )  # fmt: skip
     write_statistics(out / MEAN, _mean_vectors(joined, views))
     return joined
 
