@@ -93,7 +93,7 @@ def test_a_terminal_that_goes_ends_the_run_and_loses_nothing(lab, at):
     answer(one, "target_z is moved by hand", "0.0")
     one.expect("glass_y is moved by hand")
     one.type(b"\x04")  # the end of what is typed
-    one.expect("the position of glass_y was not read; home it to be asked for it")
+    one.expect("the position of glass_y was not read; home the axis to enter it")
     assert one.process.wait(20) not in (DONE, USAGE)
 
 
