@@ -49,7 +49,7 @@ MOVES, LEAST_MOVING = 0.5, 0.1  # r below which light moves; share of the cells 
 SEEN = 0.05  # of the median of E: cells with less show nothing
 BRIGHT, MOST_MOVING, ALIKE = 4.0, 0.25, 0.9  # of E_0, of E_0, of r
 GLARING, GLARING_ALIKE = 10.0, 0.95  # of E_0, of r: with particles before it, which it outshines in any window
-LINES, FEWEST_LINES = 15, 5  # cells: higher than a line of writing; and in the smallest frames
+LINES = 15  # cells: higher than a line of writing
 SLOWEST = 0.97  # r of a fluid beyond which nothing tells it from one at rest
 FLOOR_PX = 12  # side of the opening: larger than particle images, smaller than bodies
 RAISED, SUNK = 0.25, 0.1  # change of the floor in sqrt(E_0), beyond nearly all floors where light moves
@@ -293,14 +293,13 @@ def _dilate(cells: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_
 def _around_lines(square: Floats) -> Floats:
     """E of cells (ny, nx) without lines and letters narrower than `LINES` cells; a bright sheet of light stays.
 
-    In small frames a bright spot of a flow is narrower, too: there half a frame counts, if it is `FEWEST_LINES`.
+    Infinite in frames that are not twice as large, where a bright spot of a flow is as narrow as writing.
     """
     import cv2
 
-    side = min(LINES, min(square.shape) // 2)
-    if side < FEWEST_LINES:
+    if min(square.shape) < 2 * LINES:
         return np.full_like(square, np.inf)
-    return np.asarray(cv2.morphologyEx(square, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)))
+    return np.asarray(cv2.morphologyEx(square, cv2.MORPH_OPEN, np.ones((LINES, LINES), np.uint8)))
 
 
 def _still(
