@@ -113,16 +113,15 @@ def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candida
 def _refuse_undisturbed(work: Progress, frame: TargetFrame, candidates: Candidates) -> None:
     """Refuse a frame in which the lattice goes on undisturbed where the glass should be."""
     inside, undisturbed = candidates.inside, candidates.inside & candidates.bare
-    what = "spheres" if work.unknowns.scene.spheres else "glass"
     if np.count_nonzero(inside) < MIN_GLASS_CORNERS:
         raise GlassNotSeen(
-            f"{frame.name}: only {np.count_nonzero(inside)} corners where the {what} should be,"
-            f" {MIN_GLASS_CORNERS} are needed; check light, focus and the {what} of the scene, or use smaller"
+            f"{frame.name}: only {np.count_nonzero(inside)} corners where the glass should be,"
+            f" {MIN_GLASS_CORNERS} are needed; check light, focus and the glass of the scene, or use smaller"
             " squares"
         )
     if undisturbed.sum() > UNDISTURBED * inside.sum():
         raise GlassNotSeen(
-            f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the {what} should"
+            f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the glass should"
             " be lie on the bare lattice; give a frame that shows the target through the glass, or correct the"
             " scene"
         )

@@ -56,7 +56,7 @@ def test_all_at_once_whatever_found_it(tmp_path):
     said = [sentence for _, sentence in found]
     assert said[0] == "camera.sensor_px: should have two entries, not 1"
     assert said[1].startswith("unknown medium 'acrilic'; did you mean 'acrylic'?")
-    kinds = "'sphere', 'rod', 'window', 'tube', 'dome', 'mesh'"
+    kinds = "'sphere', 'rod', 'window', 'tube', 'dome', 'mesh', 'box', 'prism'"
     assert said[2] == f"bodies.c.kind: should be one of {kinds}, not 'ball'"
     assert sorted(said[3:5])[1].startswith("bodies.d.material: should be text or a table")
     assert "overlap" in said[5]

@@ -62,6 +62,9 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "bench camera test": "bench camera test --simulate",
     "init lab --by-hand": "init hands --yes --by-hand",
     "init --arrangement bcc --layers 3 --plane 1.5": "init deeper --yes --arrangement bcc --layers 3 --plane 1.5",
+    "init --arrangement tube --layers 5 --ball-mm 15 --glass N-BK7":
+        "init tube --yes --arrangement tube --layers 5 --ball-mm 15 --glass N-BK7",
+    "bench live --camera side": "of a bench with two cameras: tests/rtpiv/verbs/test_live_place.py",
     "setup target scene.yaml": "setup target scene.yaml",
     "setup target board.yaml": "setup target board.yaml",
     "correct ... --scene scene.yaml --square-mm 4 --target-clear target_clear.tif":

@@ -47,7 +47,7 @@ def test_no_corners():
 
 
 def test_no_corners_behind_glass():
-    with pytest.raises(GlassNotSeen, match="flat: only 0 corners where the spheres should be"):
+    with pytest.raises(GlassNotSeen, match="flat: only 0 corners where the glass should be"):
         fit_scene(bench(*MADE).nominal, [clear_and_glass()[0], flat(True)], BOARD)
 
 

@@ -82,7 +82,7 @@ def test_the_same_picture_is_read_by_the_board_that_it_shows(folder, tmp_path, c
     assert calibrated(folder, tmp_path, RIGHT) == USAGE
     said = capsys.readouterr().err
     assert "camera on target_clear: 225 corners" in said
-    assert "target_glass: only 0 corners where the spheres should be" in " ".join(said.split())
+    assert "target_glass: only 0 corners where the glass should be" in " ".join(said.split())
 
 
 KINDS = {
