@@ -63,7 +63,6 @@ SECOND = 0.8  # of the best vote: another place with as much is another rim
 WIDE_PX = 2.0  # between places that are voted for first, where outside and inside of a rim are compared
 OTHER_PLACE_PX = 8.0  # from there on a place is another one
 MAX_STRAY_MM = 0.7  # by which a sphere may stand off where the others stand
-GAS = 0.01  # by which gases differ in n, and no liquid
 
 
 class Behind(Protocol):
@@ -200,10 +199,8 @@ def require_direct_view(scene: Scene) -> None:
     if not scene.spheres:
         raise RimNotFound("the scene has no sphere whose rim could be seen; name its spheres")
     for ball in scene.spheres:
-        if abs(scene.n_around(ball) - scene.n_ambient) > GAS:
-            raise RimNotFound(
-                f"{ball.name} stands in a liquid or behind a wall, where its rim is seen aside of it"
-            )
+        if not scene.in_camera_room(ball):
+            raise RimNotFound(f"{ball.name} stands behind a wall, where its rim is seen aside of it")
 
 
 def _rim(camera: Camera, spheres: NDArray[np.float64], number: int) -> Rim:

@@ -288,6 +288,15 @@ def test_a_ball_knows_the_medium_in_which_it_stands() -> None:
     assert among_all_kinds(*walls, ball).sphere_table()[0, 4] == 1.0
 
 
+def test_no_wall_stands_between_bodies_of_the_cameras_room_and_the_camera() -> None:
+    ball, beside = Sphere("ball", (0.0, 0.0, 20.0), 5.0, GLASS), Sphere("beside", (0.0, 70.0, 20.0), 5.0, GLASS)
+    assert among_all_kinds(ball).in_camera_room(ball)
+    around = among_all_kinds(tube(), ball, beside)
+    assert [around.in_camera_room(one) for one in (ball, beside)] == [False, True]
+    behind = among_all_kinds(window(), ball)
+    assert not behind.in_camera_room(ball)
+
+
 def test_the_order_of_bodies_does_not_matter() -> None:
     rng = np.random.default_rng(8)
     for _ in range(5):

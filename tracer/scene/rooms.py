@@ -66,6 +66,11 @@ class Arrangement:
         """Return the wall of the room in which a body stands; None for the outermost room."""
         return self._innermost(body.name) if self._walls else None
 
+    @property
+    def home_of_camera(self) -> Body | None:
+        """Wall of the room in which the camera stands; None for the outermost room."""
+        return self._innermost(None)
+
     def medium_in(self, wall: Body | None) -> Medium:
         """Return what fills the room of a wall, None being the outermost."""
         while wall is not None:
@@ -124,5 +129,5 @@ class Arrangement:
             np.array([number[body.name] if body.room is not None else -1 for body in others], np.int32),
             np.array([NOTHING, *(FIRST_OTHER - others.index(wall) for wall in walls)], np.int32),
             np.array(index) / index[0],
-            room_of(self._innermost(None)),
+            room_of(self.home_of_camera),
         )

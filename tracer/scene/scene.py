@@ -292,6 +292,10 @@ class Scene:
             return self.n_ambient
         return self.arrangement.medium_in(self.arrangement.home_of(body)).n(self.wavelength_nm)
 
+    def in_camera_room(self, body: Body) -> bool:
+        """Return whether no wall stands between the camera and a body, which is then seen where it stands."""
+        return self.arrangement.home_of(body) is self.arrangement.home_of_camera
+
     @property
     def _index(self) -> Index:
         if self.arrangement.is_one_room:

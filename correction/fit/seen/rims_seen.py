@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.seen.silhouettes import GAS
 from correction.fit.seen.view_agreement import DIRECT_VIEW, Bounds, Shown
 from correction.target import Chessboard
 from tracer.bodies import Sphere
@@ -118,12 +117,7 @@ def rims_off(
     import cv2
 
     walls = any(body.stays for body in scene.bodies)
-    if (
-        not scene.spheres
-        or walls
-        or len(board.depths_mm) > 1
-        or any(scene.n_around(ball) - scene.n_ambient > GAS for ball in scene.spheres)
-    ):
+    if not scene.spheres or walls or len(board.depths_mm) > 1 or not all(map(scene.in_camera_room, scene.spheres)):
         return []  # a ball is then not seen in the direction in which it stands
     bare = Shown.of(scene.bare(), TargetPose(), board, bounds_mm)
     beside = (shown.rays.branch == DIRECT_VIEW) & shown.rays.recovered

@@ -40,7 +40,6 @@ OWN = 0.2  # and this share of all along its outline: what else is hidden there 
 MIN_LATTICE_CORNERS = 50  # corners of the lattice that must be seen or hidden
 OUTLINE_SIGMAS = 3.0  # sigmas from which a move is more than chance
 SAME = 0.1  # squares: a saddle so near to a corner of its kind is that corner
-GAS = 0.01  # by which gases differ in n, and no liquid
 OUTLINE_DEPTH_SIGMA_MM = (
     4.0  # what the outlines may be off in depth whatever their sigma: rims blur, and hide less or more
 )
@@ -250,9 +249,8 @@ def find_outlines(
         Of the frame's target.
     board : Chessboard
     """
-    around = [unknowns.scene.n_around(ball) for ball in unknowns.scene.spheres]
-    if any(abs(n - unknowns.scene.n_ambient) > GAS for n in around):
-        return None  # behind a window of liquid a ball is not seen in the direction in which it stands
+    if not all(map(unknowns.scene.in_camera_room, unknowns.scene.spheres)):
+        return None  # behind a wall the lattice is not where the bare frame has it, beside the balls either
     strong = saddles.strength > least
     pixel, bright = saddles.position_px[strong], saddles.edges[strong].sum(axis=1)
     _, rays, node = nearest_marks(unknowns, full, (height_number, False), pixel, bright, board)

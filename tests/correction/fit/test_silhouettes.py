@@ -5,12 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.seen.silhouettes import outlines_of
+from correction.fit.seen.measurement import bare_frame
+from correction.fit.seen.silhouettes import find_outlines, outlines_of
 from correction.fit.solve.contact import push_apart
-from sim.demo.scenes import at_size, demo_scene
+from correction.fit.solve.unknowns import unknowns_of
+from correction.target import Chessboard
+from correction.target.lattice_growth import find_saddles
+from rtpiv.templates.files import scene_of
+from rtpiv.templates.lab import Lab
+from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.kernels.rays import last_way
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
+from tests.correction.fit.benches import photograph
+from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
 SQUARE_MM = 3.5
@@ -135,3 +143,20 @@ def test_a_ball_in_the_middle_of_a_heap_has_no_rim_of_its_own() -> None:
     assert not outlines.own_rim[0]
     assert not outlines.own_rim[7:].any()
     assert outlines.own_rim[1:7].any()
+
+
+def test_the_board_behind_a_tube_shows_no_outline_of_the_balls_in_it():
+    """The wall moves the lattice, beside the balls too: balls followed the edge of their tube by a centimetre."""
+    lab = Lab(arrangement="tube", layers=1, plane=2.0, balls=4, ball_mm=15.0, gap_mm=5.0, lens_mm=25.0)
+    nominal, side = at_size(scene_of(lab), 400), 5.0
+    truth, board = misalign(nominal, 1, is_packed=True), Chessboard(side, 0.4 * side)
+    clear, glass = photograph(truth.bare(), False, 0.0, 1, side), photograph(truth, True, 0.0, 2, side)
+    bare, _ = bare_frame(clear, board, truth.camera.project, 0)
+    least = 0.01 * float(np.median(find_saddles(clear.image).strength))
+
+    def outlines(scene: Scene):
+        unknowns = unknowns_of(scene.with_camera(truth.camera), [0.0], FitTable())
+        return find_outlines(unknowns, unknowns.start, bare, find_saddles(glass.image), least, 0, board)
+
+    assert outlines(nominal) is None
+    assert outlines(nominal.with_bodies(nominal.spheres)) is not None  # a scene without the tube
