@@ -337,12 +337,19 @@ def glass_frame(
     return replace(measured, known_smooth_px=smooth[fit.valid], smear_px=alike[fit.valid], bent_px=bent[fit.valid])
 
 
+def _windows_in_frame(expected: Expected) -> NDArray[np.bool_]:
+    """Corners (N,) whose windows the frame holds whole: in the rest of one a corner may be missed."""
+    reach_px = expected.window[:, None] * np.abs(expected.axes_px).sum(axis=2)
+    last_px = np.array(expected.usable.shape[::-1]) - 1.0
+    return np.asarray(((expected.pixel >= reach_px) & (expected.pixel <= last_px - reach_px)).all(axis=1))
+
+
 def _to_measured_frame(
     name: str, board: Chessboard, expected: Expected, fit: CornerFit, spread: EdgeSpread, height_number: int
 ) -> MeasuredFrame:
     branch_names = expected.ways
     names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
-    valid, lost = fit.valid, ~fit.valid & ~np.isin(fit.reason, NOT_ASKED)
+    valid, lost = fit.valid, ~fit.valid & ~np.isin(fit.reason, NOT_ASKED) & _windows_in_frame(expected)
     node, depth = board.corner_mm(expected.index[valid]), board.depth_mm(expected.index[valid])
     corners = Corners(height_number, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]), depth)
     reasons = {reason: count for reason, count in fit.counts().items() if reason != "OK"}
