@@ -129,7 +129,10 @@ def cross_block(p: Vector, d: Vector, row: Array) -> Crossed:
 
 @kernel
 def leave_block(p: Vector, d: Vector, row: Array) -> Crossed:
-    """Take a ray from inside out through the wall, as `Kind.leave`."""
+    """Take a ray from inside out through the wall, as `Kind.leave`.
+
+    What is totally reflected has its face, so that rays which end in the room before are another branch.
+    """
     _, _, t, face = find_chord(p, d, row, row[WALL])
     t = max(t, 0.0)
     q, path = move(p, t, d), row[FILLED] * t
@@ -140,12 +143,12 @@ def leave_block(p: Vector, d: Vector, row: Array) -> Crossed:
     ratio = row[FILLED] / row[GLASS]
     e, c1, c2 = refract(d, face_normal(row, face, -1.0), ratio)
     if c2 == 0.0:
-        return TIR, q, e, path, 0.0
+        return TIR + FATES * (face + 1), q, e, path, 0.0
     fate, q, e, more, light = cross_glass(q, e, row, face + 1, False)
     if fate % FATES == RECOVERED:
         fate += ENTERED
-    elif fate % FATES in (ENTERED, OFF_INSIDE):  # reflected at the outer face, and back in
-        fate = TIR
+    elif fate % FATES in (ENTERED, OFF_INSIDE, TIR):  # reflected at the outer face, and back in
+        fate = TIR + FATES * (face + 1)
     return fate, q, e, path + more, light * transmittance(c1, c2, 1.0 / ratio)
 
 
