@@ -9,6 +9,7 @@ page's address behind the #, which browsers never send; it is compared in consta
 import hmac
 import json
 import logging
+import secrets
 import socket
 import threading
 from collections.abc import Callable, Mapping
@@ -139,6 +140,53 @@ def listening(
         show, HOST, port, process_request=answer, compression=None, max_size=most_bytes, max_queue=4,
         open_timeout=TOKEN_S, create_connection=Connection,
     )  # fmt: skip
+
+
+class PageServer:
+    """A page on a port of this computer, served until `close`.
+
+    Parameters
+    ----------
+    show : callable
+        Serves one viewer until it goes.
+    socket_path : str
+        Where sockets are opened.
+    pages : mapping
+        As of `LocalPage`.
+    port : int
+        Port on this computer; 0 for any free one.
+    most_bytes : int
+        Of a message from a browser.
+
+    Raises
+    ------
+    OSError
+        The port is taken.
+    """
+
+    def __init__(
+        self,
+        show: Callable[[ServerConnection], None],
+        socket_path: str,
+        pages: Mapping[str, tuple[Traversable, str]],
+        port: int,
+        most_bytes: int,
+    ) -> None:
+        self._server = listening(show, self._answer, port, most_bytes)
+        self.access = LocalPage(
+            secrets.token_urlsafe(24), self._server.socket.getsockname()[1], socket_path, pages
+        )
+
+    def serve(self) -> None:
+        """Serve until `close` is called."""
+        self._server.serve_forever()
+
+    def close(self) -> None:
+        """Take the page down."""
+        self._server.shutdown()
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        return self.access.answer(request)
 
 
 def parse_message(message: str | bytes) -> dict[str, Any]:

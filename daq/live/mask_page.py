@@ -8,7 +8,6 @@ let in is decided as for the live page (`daq.live.local_page`).
 """
 
 import json
-import secrets
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection
 
 from correction.masked import pixels_in
 from daq.atomic_write import why
-from daq.live.local_page import LocalPage, listening, page_files, parse_message
+from daq.live.local_page import PageServer, page_files, parse_message
 from daq.live.picture import grey_bytes
 from ground.whole_file import whole_file
 from tracer.masked import LEFT_OUT, MaskedPart, Point
@@ -34,7 +32,7 @@ MOST_OUTLINES, MOST_POINTS = 1000, 100_000
 MAX_OUTLINE_PX = 1e6  # no outline needs to go so far beside the frame
 
 
-class MaskPage:
+class MaskPage(PageServer):
     """The page of one frame, served until `close`.
 
     Parameters
@@ -62,20 +60,7 @@ class MaskPage:
         self._name, self._shape, self._path = name, frame.shape, path
         self._shown = grey_bytes(frame)
         self._outlines = [part.outline_px for part in begun]
-        self._token = secrets.token_urlsafe(24)
-        self._server = listening(self._show, self._answer, port, MAX_MESSAGE_BYTES)
-        self.access = LocalPage(self._token, self._server.socket.getsockname()[1], SOCKET, PAGES)
-
-    def serve(self) -> None:
-        """Serve until `close` is called."""
-        self._server.serve_forever()
-
-    def close(self) -> None:
-        """Take the page down."""
-        self._server.shutdown()
-
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        return self.access.answer(request)
+        super().__init__(self._show, SOCKET, PAGES, port, MAX_MESSAGE_BYTES)
 
     def _show(self, connection: ServerConnection) -> None:
         with suppress(ConnectionClosed, TimeoutError):

@@ -1,13 +1,12 @@
 """`rtpiv setup mask`: draw a mask on a frame in the browser."""
 
-from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 from daq.errors import RunUsageError
 from daq.runs.acquired import read_acquired
 from ground.terminal import console
 from rtpiv.options.numbers import Port
+from rtpiv.verbs.local_page import require_live, serve_page
 from rtpiv.verbs.paths import Named
 from tracer.masked import left_out
 
@@ -39,8 +38,7 @@ def mask(frame: Named, /, out: Named = "mask.png", port: Port = 0) -> Path:
     RunUsageError
         The extra is not installed, the picture is to be no PNG, or the port is taken.
     """
-    if find_spec("websockets") is None:
-        raise RunUsageError("the page needs an extra: pip install 'rtpiv[live]'")
+    require_live()
     from daq.live.mask_page import MaskPage  # needs the extra
 
     path, out = Path(frame), Path(out)
@@ -49,21 +47,9 @@ def mask(frame: Named, /, out: Named = "mask.png", port: Port = 0) -> Path:
     pixels = read_acquired(path)
     height, width = pixels.shape
     begun = left_out(out, (width, height)) if out.exists() else ()
-    try:
-        page = MaskPage(path.name, pixels, out, begun, port)
-    except OSError as error:
-        raise RunUsageError(
-            f"the page cannot be shown: {error.strerror or error}; choose another --port"
-        ) from None
-    screen = console()
-    screen.print(f"look at {page.access.url}", soft_wrap=True, highlight=False)
-    screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
-    try:
-        with suppress(KeyboardInterrupt):
-            page.serve()
-    finally:
-        page.close()
+    serve_page(lambda: MaskPage(path.name, pixels, out, begun, port))
     if out.exists():
+        screen = console()
         screen.print(f"in the scene file:  masked: [{{why: left out, picture: {out.name}}}]", soft_wrap=True)
         screen.print(f"or for one evaluation:  --mask {out}", soft_wrap=True)
     return out

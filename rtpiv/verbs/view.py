@@ -1,13 +1,12 @@
 """`rtpiv report --view`: look at vectors in the browser, and post-process them."""
 
-from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 from daq.errors import RunUsageError
 from ground.terminal import console
 from piv.files.vector_file import read_vectors
 from rtpiv.options.numbers import Port
+from rtpiv.verbs.local_page import require_live, serve_page
 from rtpiv.verbs.paths import Named
 
 SHOWN = ("vectors.nc", "mean.nc")  # of a folder, the first that is there
@@ -41,34 +40,22 @@ def view(results: Named, /, scene: Named | None = None, port: Port = 0) -> Path 
     VectorFileError
         The file is damaged or holds no vectors on a grid.
     """
-    if find_spec("websockets") is None:
-        raise RunUsageError("the page needs an extra: pip install 'rtpiv[live]'")
+    require_live()
     from rtpiv.analysis.browser.pair_frames import frames_of_pair
-    from rtpiv.analysis.browser.vector_page import VectorPage  # needs the extra
+    from rtpiv.analysis.browser.vector_page import VectorPage, output_of  # needs the extra
 
     path = _vector_file(Path(results))
     vectors, screen = read_vectors(path), console()
     frames = frames_of_pair(path, vectors.attributes.get("scene_hash"), None if scene is None else Path(scene))
     if isinstance(frames, str):
         screen.print(frames, soft_wrap=True, highlight=False)
-    try:
-        page = VectorPage(path, vectors, frames, port)
-    except OSError as error:
-        raise RunUsageError(
-            f"the page cannot be shown: {error.strerror or error}; choose another --port"
-        ) from None
-    before = _modification_time(page.output)
-    screen.print(f"look at {page.access.url}", soft_wrap=True, highlight=False)
-    screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
-    try:
-        with suppress(KeyboardInterrupt):
-            page.serve()
-    finally:
-        page.close()
-    if _modification_time(page.output) == before:
+    output = output_of(path)
+    before = _modification_time(output)
+    serve_page(lambda: VectorPage(path, vectors, frames, port))
+    if _modification_time(output) == before:
         return None
-    screen.print(f"written: {page.output}", soft_wrap=True)
-    return page.output
+    screen.print(f"written: {output}", soft_wrap=True)
+    return output
 
 
 def _vector_file(path: Path) -> Path:

@@ -14,7 +14,6 @@ for the live page (`daq.live.local_page`).
 
 import json
 import math
-import secrets
 from contextlib import suppress
 from dataclasses import fields
 from importlib.resources import files
@@ -23,11 +22,10 @@ from typing import Any
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection
 
 from daq.atomic_write import why
-from daq.live.local_page import LocalPage, listening, page_files, parse_message
+from daq.live.local_page import PageServer, page_files, parse_message
 from daq.live.picture import grey_bytes
 from piv.files.vector_file import Vectors, write_vectors
 from rtpiv.analysis.browser.pair_frames import PairFrames
@@ -39,7 +37,7 @@ MAX_MESSAGE_BYTES = 4096
 SUFFIX = "-checked"  # of the file that is written
 
 
-class VectorPage:
+class VectorPage(PageServer):
     """The page of one file of vectors, served until `close`.
 
     Parameters
@@ -63,25 +61,7 @@ class VectorPage:
         self._path, self._vectors, self._frames = path, vectors, frames
         shape = (len(vectors.times), len(vectors.y_mm), len(vectors.x_mm))
         self._names = [name for name, values in vectors.fields.items() if values.shape == shape]
-        self._token = secrets.token_urlsafe(24)
-        self._server = listening(self._show, self._answer, port, MAX_MESSAGE_BYTES)
-        self.access = LocalPage(self._token, self._server.socket.getsockname()[1], SOCKET, PAGES)
-
-    @property
-    def output(self) -> Path:
-        """The file that the page writes."""
-        return self._path.with_name(f"{self._path.stem}{SUFFIX}.nc")
-
-    def serve(self) -> None:
-        """Serve until `close` is called."""
-        self._server.serve_forever()
-
-    def close(self) -> None:
-        """Take the page down."""
-        self._server.shutdown()
-
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        return self.access.answer(request)
+        super().__init__(self._show, SOCKET, PAGES, port, MAX_MESSAGE_BYTES)
 
     def _show(self, connection: ServerConnection) -> None:
         with suppress(ConnectionClosed, TimeoutError):
@@ -100,7 +80,7 @@ class VectorPage:
         about: dict[str, Any] = {
             "file": self._path.name,
             "folder": self._path.resolve().parent.name,
-            "writes": self.output.name,
+            "writes": output_of(self._path).name,
             "x": vectors.x_mm.tolist(),
             "y": vectors.y_mm.tolist(),
             "length": vectors.length_unit,
@@ -157,13 +137,13 @@ class VectorPage:
         """Write the vectors that are kept; say how many were not."""
         processed = post_process(self._vectors, chosen)
         try:
-            write_vectors(self.output, processed)
+            write_vectors(output_of(self._path), processed)
         except OSError as error:
-            return {"refused": f"{self.output}: {why(error)}"}
+            return {"refused": f"{output_of(self._path)}: {why(error)}"}
         rejected = sum(
             int(find_outliers(self._vectors, time, chosen).sum()) for time in range(len(self._vectors.times))
         )
-        return {"written": self.output.name, "rejected": rejected}
+        return {"written": output_of(self._path).name, "rejected": rejected}
 
     def _other_windows(self, place: object) -> dict[str, Any]:
         if isinstance(self._frames, str):
@@ -173,6 +153,11 @@ class VectorPage:
         if point is None or not (x_mm[0] <= point[0] <= x_mm[-1] and y_mm[0] <= point[1] <= y_mm[-1]):
             return {"refused": "choose a place among the vectors"}
         return {"windows": list(self._frames.vectors_at(*point)), "place": point}
+
+
+def output_of(path: Path) -> Path:
+    """Return the file that the page of a file of vectors writes."""
+    return path.with_name(f"{path.stem}{SUFFIX}.nc")
 
 
 def read_criteria(asked: object) -> PostProcessing | str:

@@ -101,9 +101,9 @@ def test_what_fails_the_criteria_is_shown_before_it_is_written_and_the_rest_stay
         for criteria in ({"local_median": 3.0}, {"deviations": 5.0}, {"u_limits": [-1, 1], "v_limits": [-1, 1]}):
             assert ask({"check": criteria, "time": 1}) == {"rejected": [5 * NX + 7], "measured": NX * NY - 1}
             assert ask({"check": criteria, "time": 0})["rejected"] == []
-        assert not page.output.exists()
+        assert not (tmp_path / "vectors-checked.nc").exists()
         assert ask({"write": {"local_median": 3.0}}) == {"written": "vectors-checked.nc", "rejected": 1}
-        left_out, before = read_vectors(page.output), vectors_of()
+        left_out, before = read_vectors(tmp_path / "vectors-checked.nc"), vectors_of()
         assert np.isnan(left_out.fields["u"][1, 5, 7])
         assert np.isnan(left_out.fields["sigma_v"][1, 5, 7])
         assert left_out.fields["flag"][1, 5, 7] == 3
@@ -113,7 +113,7 @@ def test_what_fails_the_criteria_is_shown_before_it_is_written_and_the_rest_stay
         for name in ("u", "sigma_u", "chc"):
             np.testing.assert_array_equal(left_out.fields[name][others], before.fields[name][others].astype("f4"))
         assert ask({"write": {"local_median": 3.0, "interpolate": True}})["rejected"] == 1
-        filled = read_vectors(page.output)
+        filled = read_vectors(tmp_path / "vectors-checked.nc")
         assert filled.fields["u"][1, 5, 7] == pytest.approx(0.5 + 0.01 * before.x_mm[7], abs=1e-3)
         assert filled.fields["flag"][1, 5, 7] == 2
         assert filled.fields["chc"][1, 5, 7] == 0
@@ -138,7 +138,7 @@ def test_nonsense_is_refused_in_one_sentence_and_writes_nothing(tmp_path):
 
 def test_a_file_that_cannot_be_written_is_refused_with_the_reason(tmp_path):
     with shown(tmp_path) as page, looking(page) as (_, ask):
-        page.output.mkdir()
+        (tmp_path / "vectors-checked.nc").mkdir()
         assert "vectors-checked.nc: is a directory" in ask({"write": {}})["refused"].lower()
 
 
@@ -223,4 +223,4 @@ def test_a_person_rejects_a_vector_draws_a_line_and_writes(tmp_path, frames):
         for width in (1400, 420):  # a wide and a narrow screen: nothing sticks out
             tab.picture(tmp_path / f"{width}.png", width, 900)
             assert tab.value("document.documentElement.scrollWidth <= window.innerWidth")
-        assert np.isnan(read_vectors(page.output).fields["u"][1, 5, 7])
+        assert np.isnan(read_vectors(tmp_path / "vectors-checked.nc").fields["u"][1, 5, 7])
