@@ -16,6 +16,7 @@ frames pulls nothing.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from correction.maps.correction_map import CorrectionMap
 from correction.maps.lit import PlaneLight
 from correction.maps.slant import SLOPE_NODE_STEP, WindowMeans, node_slopes
-from piv.correlation.vector_field import VectorField
+from piv.correlation.vector_field import RESOLUTION_LENGTHS, VectorField
 from piv.correlation.windows import WindowGrid
 from tracer.scene.scene import Scene
 
@@ -93,11 +94,16 @@ class HeightChange:
         return bias * up, UNSURE * np.sqrt(squares.mean(axis=-1))
 
     def remove_from(self, field: VectorField, windows: WindowGrid, window_sigma: float) -> VectorField:
-        """Return a field of corrected frames without its bias."""
-        shift_px = np.stack((field.u_px, field.v_px), axis=-1)
+        """Return a field of corrected frames without its bias, which vectors before the noise filter have as well.
+
+        What is left of it is the same in every pair of a steady flow.
+        """
+        shift_px, lengths = np.stack((field.u_px, field.v_px), axis=-1), field.lengths
         bias, sigma_px = self.bias_px(shift_px, windows, window_sigma)
         u_px, v_px = np.moveaxis(shift_px - bias, -1, 0)
-        unresolved = field.resolution_px
-        if unresolved is not None:
-            unresolved = np.hypot(unresolved, sigma_px)
-        return replace(field, u_px=u_px, v_px=v_px, resolution_px=unresolved)
+        more: dict[str, Any] = {
+            name: np.hypot(lengths[name], sigma_px) for name in RESOLUTION_LENGTHS if name in lengths
+        }
+        if "unfiltered_px" in lengths:
+            more["unfiltered_px"] = lengths["unfiltered_px"] - bias
+        return replace(field, u_px=u_px, v_px=v_px, **more)

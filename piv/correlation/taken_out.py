@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piv.correlation.common_light import CommonLight
 from piv.correlation.settings import SMALLEST_WINDOW_PX
-from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import RESOLUTION_LENGTHS, VectorField, VectorFlag
 
 STANDS = 0.51  # share of what lies around a vector that a mask leaves; half of it on an edge
 WITHIN, MEASURED_SHARE = 0.99, 0.3  # of a window that lies in an empty area; of such windows with a vector
@@ -77,9 +77,7 @@ def without_seams(field: VectorField, common: CommonLight) -> VectorField:
     kept = 1.0 - pushed_px / np.maximum(length_px, common.least_px)
     lengths = field.lengths
     more: dict[str, Any] = {
-        name: np.hypot(lengths[name], 0.5 * pushed_px)
-        for name in ("resolution_px", "steady_px", "unfiltered_steady_px")
-        if name in lengths
+        name: np.hypot(lengths[name], 0.5 * pushed_px) for name in RESOLUTION_LENGTHS if name in lengths
     }
     if "unfiltered_px" in lengths:
         more["unfiltered_px"] = lengths["unfiltered_px"] * kept[..., None]

@@ -51,6 +51,7 @@ LENGTHS = (
     "unfiltered_sigma_px",
     "unfiltered_steady_px",
 )
+RESOLUTION_LENGTHS = ("resolution_px", "steady_px", "unfiltered_steady_px")
 NOT_ASKED = (VectorFlag.MASKED, VectorFlag.STILL)  # where nothing could be measured
 
 

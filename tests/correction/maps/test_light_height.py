@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -166,6 +167,30 @@ def test_what_is_dark_in_one_frame_moves_nothing(brightness):
     slope_px = 0.02 * 0.2 * 10.0
     assert bias[0, 0, 1] == 0.0
     assert bias[0, 0, 0] == pytest.approx(slope_px, rel=0.02)
+
+
+def test_vectors_before_the_noise_filter_lose_the_same_bias():
+    """Means are made of these; and what is left at a step is the same in every pair."""
+    grid = PlaneGrid((0.0, 0.0), 0.1, (60, 80))
+    height = np.where(np.arange(80) < 40, 0.0, 0.02) * np.ones((60, 1))
+    light = PlaneLight(grid, LightMap(np.ones(grid.shape), height, np.full(grid.shape, 0.5), 1.0, 1.0, 0.0), 1)
+    nodes_mm = grid.nodes_mm()[::4, ::4]
+    change = HeightChange(light, nodes_mm, np.full_like(nodes_mm, (0.2, 0.0)), 10.0, grid.shape)
+    frame = np.random.default_rng(1).normal(size=(60, 88))
+    frames = [cv2.GaussianBlur(frame[:, left : left + 80], (0, 0), 1.0) for left in (6, 0)]
+    settings = PivSettings(windows_px=(32, 16))
+    field = evaluate_pair(*frames, None, settings)
+    windows = settings.result_grid(grid.shape)
+    left = change.remove_from(field, windows, settings.window_sigma)
+    moved = np.stack((field.u_px - left.u_px, field.v_px - left.v_px), axis=-1)[field.valid]
+    assert np.abs(moved[..., 0]).max() > 0.01
+    np.testing.assert_allclose((field.unfiltered_px - left.unfiltered_px)[field.valid], moved, atol=1e-12)
+    grown = [
+        np.square(getattr(left, name)) - np.square(getattr(field, name))
+        for name in ("resolution_px", "steady_px", "unfiltered_steady_px")
+    ]
+    assert np.nanmax(grown[0]) > 1e-5
+    np.testing.assert_allclose(grown[1:], [grown[0]] * 2, atol=1e-12)
 
 
 def mean_errors_px(scene, flow_px, pairs, seed):
