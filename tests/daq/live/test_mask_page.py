@@ -2,7 +2,6 @@
 
 import http.client
 import json
-import threading
 from contextlib import contextmanager
 
 import cv2
@@ -12,10 +11,10 @@ import tifffile
 
 pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from daq.live.mask_page import MOST_POINTS, MaskPage, outlines_of
 from rtpiv.command_line.cli import USAGE, main
+from tests.daq.live.local_pages import browser_of, say, served
 from tracer.masked import left_out
 
 H, W = 60, 80
@@ -25,28 +24,15 @@ SQUARE = [[9.5, 19.5], [29.5, 19.5], [29.5, 39.5], [9.5, 39.5]]
 
 @contextmanager
 def shown(path, begun=()):
-    page = MaskPage("a.tif", FRAME, path, begun)
-    server = threading.Thread(target=page.serve, daemon=True)
-    server.start()
-    try:
+    with served(MaskPage("a.tif", FRAME, path, begun)) as page:
         yield page
-    finally:
-        page.close()
-        server.join(5.0)
 
 
 @contextmanager
 def drawing(page, token=None, **options):
     """A browser that is let in, or is not; what it is told first, and the frame."""
-    host, options = f"127.0.0.1:{page.access.port}", {"origin": f"http://127.0.0.1:{page.access.port}"} | options
-    with connect(f"ws://{host}/outlines", **options) as browser:
-        browser.send(json.dumps({"token": page.access.token if token is None else token}))
-        yield json.loads(browser.recv(5.0)), browser.recv(5.0), lambda words: _asked(browser, words)
-
-
-def _asked(browser, words):
-    browser.send(words if isinstance(words, str | bytes) else json.dumps(words))
-    return json.loads(browser.recv(5.0))
+    with browser_of(page, "/outlines", token, **options) as browser:
+        yield json.loads(browser.recv(5.0)), browser.recv(5.0), lambda words: say(browser, words)
 
 
 def test_what_is_drawn_becomes_the_picture_and_is_gone_on_from(tmp_path):

@@ -2,7 +2,6 @@
 
 import http.client
 import json
-import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from correction.grid import PlaneGrid
 from piv.correlation.settings import PivSettings
@@ -19,6 +17,7 @@ from rtpiv.analysis.browser.pair_frames import PairFrames, frames_of_pair
 from rtpiv.analysis.browser.vector_page import VectorPage
 from rtpiv.command_line.cli import USAGE, main
 from tests.daq.live.chromium import chromium, tab_at
+from tests.daq.live.local_pages import browser_of, say, served
 
 NY, NX, PITCH = 12, 16, 0.1
 SHIFT = (2.3, -1.4)  # px, right and down
@@ -56,27 +55,18 @@ def frames():
 def shown(folder, frames="frames are not shown: no scene"):
     path = folder / "vectors.nc"
     write_vectors(path, vectors_of())
-    page = VectorPage(path, read_vectors(path), frames)
-    server = threading.Thread(target=page.serve, daemon=True)
-    server.start()
-    try:
+    with served(VectorPage(path, read_vectors(path), frames)) as page:
         yield page
-    finally:
-        page.close()
-        server.join(5.0)
 
 
 @contextmanager
 def looking(page, token=None, **options):
     """What a browser is told first, and a way to ask for more."""
-    host, options = f"127.0.0.1:{page.access.port}", {"origin": f"http://127.0.0.1:{page.access.port}"} | options
-    with connect(f"ws://{host}/vectors", **options) as browser:
-        browser.send(json.dumps({"token": page.access.token if token is None else token}))
+    with browser_of(page, "/vectors", token, **options) as browser:
         about = json.loads(browser.recv(5.0))
 
         def ask(words, follows=False):
-            browser.send(words if isinstance(words, str | bytes) else json.dumps(words))
-            said = json.loads(browser.recv(60.0))
+            said = say(browser, words)
             return (said, browser.recv(5.0)) if follows else said
 
         yield about, ask

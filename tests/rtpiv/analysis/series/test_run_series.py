@@ -14,7 +14,6 @@ from scipy.io import netcdf_file
 from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
-from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from piv.errors import PairError, SeriesError
 from rtpiv.analysis.series import clean_frames as clean
@@ -24,7 +23,6 @@ from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_vectors, write_statistics
-from rtpiv.analysis.series.series_pairs import is_flow, is_one_series
 from rtpiv.analysis.series.series_plan import chunk_path, jobs_of, usual_chunk
 from rtpiv.analysis.series.workers import worker_processes
 from tests.rtpiv.analysis.series.small_series import (
@@ -442,41 +440,6 @@ def test_pairs_of_different_exposure_are_refused_by_name(tmp_path):
         given_of(flow_run(tmp_path / "c", 2, unseeded=2, **exposed))
     of_b = {"exposure_us": lambda number: 100.0 + 3e4 * (number % 2)}  # the second of a double frame lasts longer
     assert len(given_of(flow_run(tmp_path / "d", 4, unseeded=1, **of_b)).pairs) == 4
-
-
-def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
-    run = flow_run(tmp_path, 11, stream=True, timestamp_ns=lambda _: 0)
-    assert is_one_series(pairs_of(run))
-    assert not is_flow(pairs_of(run))
-    assert not given_of(run, timed=False).is_timed
-    with pytest.raises(PairError, match="say it with --dt-us"):
-        given_of(run)
-    given = given_of(run, DT_US)
-    assert (given.pairs[0].dt_s, given.pairs[0].time_s) == (pytest.approx(DT_US * 1e-6), None)
-    run_series(series_of(tmp_path / "out", given, method_of(tmp_path, "sliding-minimum"), "stream"), 1, 16)
-    with netcdf_file(chunk_path(tmp_path / "out", 0), mmap=False) as file:
-        assert file.variables["t"].units == b"pair"
-        assert file.variables["t"][:].tolist() == list(range(11))
-
-
-@pytest.mark.parametrize("count", [1, 10, 11])
-def test_a_stream_is_a_series_of_one_as_of_many(tmp_path, count):
-    """No background is taken off few pairs of a stream unasked: what stands still in so few may be particles."""
-    run = flow_run(tmp_path, count, stream=True)
-    assert is_one_series(pairs_of(run))
-    assert given_of(run).usual_background == (count == 11)
-
-
-def test_pairs_of_an_unknown_time_have_displacements_and_a_mean_of_these(tmp_path):
-    run = flow_run(tmp_path, 2, stream=True, timestamp_ns=lambda _: 0)
-    found = run_series(series_of(tmp_path / "out", given_of(run, timed=False), method_of(tmp_path), "stream"), 1)
-    vectors = found.vectors
-    assert (vectors.kind, vectors.units["u"]) == ("displacement", "mm")
-    assert np.nanmedian(vectors.fields["u"]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
-    mean = mean_flow(Chunks.of(tmp_path / "out"))
-    assert (mean.is_timed, mean.unit, mean.unit_squared, mean.rate_unit) == (False, "mm", "mm\u00b2", "1")
-    assert np.nanmedian(mean.mean_m_s[..., 0]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
-    assert np.nanmedian(mean.mean_px[..., 0]) == pytest.approx(2.0, rel=0.02)
 
 
 def test_runs_that_are_no_series_are_one_sentence(tmp_path):
