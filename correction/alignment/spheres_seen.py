@@ -200,7 +200,7 @@ def require_direct_view(scene: Scene) -> None:
         raise RimNotFound("the scene has no sphere whose rim could be seen; name its spheres")
     for ball in scene.spheres:
         if not scene.in_camera_room(ball):
-            raise RimNotFound(f"{ball.name} stands behind a wall, where its rim is seen aside of it")
+            raise RimNotFound(f"{ball.name} stands behind a wall, which displaces the image of its rim")
 
 
 def _rim(camera: Camera, spheres: NDArray[np.float64], number: int) -> Rim:

@@ -52,7 +52,7 @@ def find_poses(work: Progress) -> None:
             (name for name, other in placed.items() if _is_same(work, (frame.glass, seen_mm), other)), None
         )
         if same is not None:
-            work.drop_pose(frame.pose, f"it shows the board where {same} does, which says nothing new")
+            work.drop_pose(frame.pose, f"it shows the board at the same pose as {same}, so it adds no information")
             continue
         placed[frame.name] = frame.glass, seen_mm
         if not frame.glass:

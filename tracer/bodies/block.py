@@ -164,7 +164,7 @@ class Block(Body):
     """
 
     Section: ClassVar[Any] = BoxSection | PrismSection
-    moves_no_ray: ClassVar[str] = "faces through which no corner of the board is seen move no ray"
+    moves_no_ray: ClassVar[str] = "faces that show no corner of the board displace no ray"
 
     name: str
     profile_mm: Profile

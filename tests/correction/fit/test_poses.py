@@ -154,7 +154,7 @@ def test_frames_that_say_nothing_are_left_out_with_the_reason():
     assert [frame.name[-5:] for frame in work.bare] == ["pose1", "pose2"]
     same, nothing, wrong = said
     assert same.startswith(
-        "warning: target_clear_pose3 left out: it shows the board where target_clear_pose1 does"
+        "warning: target_clear_pose3 left out: it shows the board at the same pose as target_clear_pose1"
     )
     assert nothing.startswith("warning: target_clear_pose4 left out: no chessboard in the frame")
     assert "px from any pose of the board: another board, or a bent one" in wrong
