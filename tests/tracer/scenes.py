@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from benchmarks.scenes import bench_scene
 from tracer.bodies import Body, Core, Sphere
 from tracer.camera import Camera, Lens, look_at
-from tracer.kernels.rays import trace_to_plane, trace_trails
+from tracer.kernels.rays import trace_to_plane
 from tracer.kernels.world import World
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import NO_CELLS
 
+NO_TRAIL = NO_CELLS[2]  # keeps no event
 TILTED = "tilted"
 HOLLOW = "hollow"
 
@@ -145,10 +146,8 @@ def one_ray(
     *numbers: float, table: NDArray[np.float64], trail: NDArray[np.int32] | None = None
 ) -> tuple[float, ...]:
     """`trace_to_plane` from a point along a direction past the spheres of a table; its events in `trail` (64,)."""
-    world = World(table, *NO_CELLS)
-    if trail is not None:
-        trace_trails(np.array([numbers[:3]]), np.array([numbers[3:]]), world, trail[None])
-    return flat(trace_to_plane(numbers[:3], numbers[3:], world))
+    kept = NO_TRAIL if trail is None else trail
+    return flat(trace_to_plane(numbers[:3], numbers[3:], World(table, *NO_CELLS), kept))
 
 
 def flat(result: Any) -> tuple[float, ...]:

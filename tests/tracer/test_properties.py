@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scenes import PAPER, aimed_pixels
 from tests.loops import loop_over
-from tests.tracer.scenes import TILTED, ball, camera_at, flat, random_scene, scene
+from tests.tracer.scenes import NO_TRAIL, TILTED, ball, camera_at, flat, random_scene, scene
 from tracer.bodies import Sphere
 from tracer.kernels.rays import trace_rays, trace_to_plane, trace_trails
 from tracer.media import ConstantMedium
@@ -71,7 +71,7 @@ def leaves_at(
     where: Scene, start: NDArray[np.float64], way: NDArray[np.float64]
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Point and direction of the last straight piece, and the transmittance."""
-    result = flat(trace_to_plane(tuple(start.tolist()), tuple(way.tolist()), world_of(where)))
+    result = flat(trace_to_plane(tuple(start.tolist()), tuple(way.tolist()), world_of(where), NO_TRAIL))
     return np.array(result[1:4]), np.array(result[4:7]), float(result[8])
 
 
@@ -133,7 +133,7 @@ def test_angular_momentum_about_a_sphere_is_kept(seed: int) -> None:
         aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0))
         # From the foot point's neighbourhood: the start is exact to an ulp of the radius, not of the distance.
         start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
-        result = flat(trace_to_plane(tuple(start.tolist()), tuple(way.tolist()), world_of(where)))
+        result = flat(trace_to_plane(tuple(start.tolist()), tuple(way.tolist()), world_of(where), NO_TRAIL))
         if result[-1] != 1 or result[6] < 0.0:
             continue
         before = np.cross(start - table[0, :3], way)

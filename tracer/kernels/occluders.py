@@ -20,7 +20,7 @@ def retrace_shadows(
     (B, K, 3): of each branch and rod a, b, c, where points with a x + b y >= c are seen past it.  ``keys`` (B,) of
     the branches; another one is UNKNOWN.  `out`: plane points, status, branch numbers (H, W).
     """
-    plane, status, branch = out
+    (camera, world), (plane, status, branch) = tables, out
     for row in range(first, last):
         for column in range(branch.shape[1]):
             number, x, y = branch[row, column], plane[row, column, 0], plane[row, column, 1]
@@ -35,8 +35,8 @@ def retrace_shadows(
                     clear = sides[number, k, 0] * x + sides[number, k, 1] * y >= sides[number, k, 2]
             if clear:
                 continue
-            d = pixel_ray(float(column), float(row), tables[0])
-            s, q, _, _, _, key, _ = trace_to_plane(eye_of(tables[0]), d, tables[1])
+            d = pixel_ray(float(column), float(row), camera)
+            s, q, _, _, _, key, _ = trace_to_plane(eye_of(camera), d, world, world.items[:0])
             plane[row, column, 0] = q[0] if s == RECOVERED else math.nan
             plane[row, column, 1] = q[1] if s == RECOVERED else math.nan
             status[row, column] = s

@@ -71,6 +71,7 @@ from tracer.kernels.world import (
 MAX_EVENTS = 64  # bodies crossed by one ray; a bed of a thousand spheres stays below 20
 PASSED, TURNED, REFLECTED, OTHER, SHAPED = range(5)
 Tangents = tuple[Vector, Vector, Vector, Vector, float]  # dp/du, dp/dv, dd/du, dd/dv, transmittance
+Light = tuple[float, float, Array]
 PlaneRay = tuple[int, Vector, Vector, float, float, int, int]
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -80,7 +81,7 @@ def trace_rays(origins: Array, directions: Array, world: World, first: int, last
     """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (trace.RAY)."""
     for i in range(first, last):
         status, q, d, path, passed, key, events = trace_to_plane(
-            vector_at(origins[i], 0), vector_at(directions[i], 0), world
+            vector_at(origins[i], 0), vector_at(directions[i], 0), world, world.items[:0]
         )
         good = status == RECOVERED
         rays[i].status = status
@@ -97,7 +98,7 @@ def trace_rays(origins: Array, directions: Array, world: World, first: int, last
 def trace_trails(origins: Array, directions: Array, world: World, trails: Array) -> None:
     """Record in trails (N, MAX_EVENTS) int32 the events of each ray."""
     for i in range(origins.shape[0]):
-        trace_ray(vector_at(origins[i], 0), vector_at(directions[i], 0), world, keep_trail, trails[i])
+        trace_to_plane(vector_at(origins[i], 0), vector_at(directions[i], 0), world, trails[i])
 
 
 @kernel
@@ -108,7 +109,7 @@ def trace_rows(
     for row in range(first, last):
         for column in range(point.shape[1]):
             d = pixel_ray(float(column), float(row), camera)
-            s, q, _, _, _, k, _ = trace_to_plane(eye_of(camera), d, world)
+            s, q, _, _, _, k, _ = trace_to_plane(eye_of(camera), d, world, world.items[:0])
             good = s == RECOVERED
             point[row, column, 0] = q[0] if good else math.nan
             point[row, column, 1] = q[1] if good else math.nan
@@ -282,27 +283,23 @@ def trace_ray(
 
 
 @kernel_composed
-def keep_light(kept: tuple[float, float], crossing: Crossing, world: World) -> tuple[float, float]:
-    """Record optical path / n_ambient and transmittance."""
-    return kept[0] + crossing.path + crossing.more, kept[1] * crossing.light * crossing.share
-
-
-@kernel_composed
-def keep_trail(kept: Array, crossing: Crossing, world: World) -> Array:
-    """Record events in an array (MAX_EVENTS,) int32."""
-    kept[crossing.place] = crossing.event
-    return kept
+def keep_light(kept: Light, crossing: Crossing, world: World) -> Light:
+    """Record optical path / n_ambient, transmittance, and as many events as there is room for."""
+    path, passed, trail = kept
+    if crossing.place < trail.shape[0]:
+        trail[crossing.place] = crossing.event
+    return path + crossing.path + crossing.more, passed * crossing.light * crossing.share, trail
 
 
 @kernel_inlined
-def trace_to_plane(p: Vector, d: Vector, world: World) -> PlaneRay:
-    """Trace one ray from p along d.
+def trace_to_plane(p: Vector, d: Vector, world: World, trail: Array) -> PlaneRay:
+    """Trace one ray from p along d; its first events are kept in ``trail`` (0 to MAX_EVENTS,) int32.
 
     Returns status, point, direction, optical path / n_ambient, transmittance, key, events.  The point is the plane
     point of a recovered ray, else the foot point of its last straight piece.
     """
-    status, p, d, key, events, kept, index = trace_ray(p, d, world, keep_light, (0.0, 1.0))
-    path, passed = kept
+    status, p, d, key, events, kept, index = trace_ray(p, d, world, keep_light, (0.0, 1.0, trail))
+    path, passed, _ = kept
     if status != RECOVERED:
         return status, p, d, path, 0.0, key, events
     if not d[2] < 0.0:
