@@ -159,10 +159,11 @@ def join(
             return found
 
         given = inputs(scenes or [None] * len(paths))
-        if (how.sheet or how.knocks or how.follow) and (not at_once or len(given) < len(paths)):
+        compares = how.sheet or how.knocks or how.follow
+        if compares and (not at_once or len(paths) < 2 or len(given) < len(paths)):
             raise RunUsageError(
-                "--sheet, --knocks and --follow compare frames at the same time: give runs or frames, and"
-                " --simultaneous"
+                "--sheet, --knocks and --follow compare frames of two cameras at the same time: give two runs or"
+                " folders of frames or more, and --simultaneous"
             )
         for _ in range(SHEET_ROUNDS if how.sheet else 0):  # a plane that is nearer changes the slopes
             moved = sheet_of_views(given)

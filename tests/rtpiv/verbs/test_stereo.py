@@ -172,3 +172,16 @@ def test_branches_need_places_that_are_seen_twice(tmp_path, capsys):
     assert join([camera], tmp_path / "joined", "--branches") == USAGE
     assert "sees places on two paths" in " ".join(capsys.readouterr().err.split())
     assert join([camera], tmp_path / "other") == USAGE
+
+
+@pytest.mark.parametrize("how", ["--knocks", "--follow", "--sheet"])
+def test_one_camera_has_nothing_to_compare_its_frames_with(tmp_path, capsys, how):
+    (tmp_path / "frames").mkdir()
+    for letter in "ab":
+        tifffile.imwrite(tmp_path / "frames" / f"000_{letter}.tif", np.full((SIDE, SIDE), 40, np.uint16))
+    (tmp_path / "scene.yaml").write_text(
+        f"camera: {{focal_px: {FOCAL_PX}, sensor_px: [{SIDE}, {SIDE}], position_mm: [0, 0, {DISTANCE_MM}],"
+        " look_at_mm: [0, 0, 0]}\nbodies: []\n"
+    )
+    assert join([tmp_path], tmp_path / "joined", "--branches", how) == USAGE
+    assert "of two cameras at the same time" in " ".join(capsys.readouterr().err.split())
