@@ -9,7 +9,8 @@ all likely paths of one.  The cosine transform (DCT-II) of K pairs has independe
 with r the variance of the noise and lambda that of a step over r.  lambda is the one of greatest likelihood; the
 path is c_j lambda g_j/(1 + lambda g_j), of variance r lambda g_j/(1 + lambda g_j), counted from the first pair.
 Before and after a knock stand paths of their own, with r and lambda in common; a knock by which the path after it
-does not begin elsewhere than the one before it ends is a fast drift.
+does not begin elsewhere than the one before it ends is a fast drift.  The smoothed path of a straight drift is
+flat at its ends, so a jump must also show beside a straight line.
 
 **Alarm.**  If nothing drifts, twice the logarithm of the likelihood over that of lambda = 0 exceeds x with a
 probability of at most half of P(chi^2_1 > x): 20 000 runs of 18 to 1000 pairs, normal noise and Student's with 5
@@ -28,7 +29,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.self_check.knocks import Candidate, Follower, WhiteDisparity
+from correction.self_check.knocks import FALSE_ALARMS, Candidate, Follower, Knock, WhiteDisparity, find_knock
 from correction.self_check.moved_sphere import AS_GOOD
 
 DRIFT_ALARMS = 1e-3  # in a run in which nothing drifts
@@ -107,7 +108,8 @@ def follow(
             )
             for before, after in pairwise(segments):
                 variance = before.ends[1] + after.ends[0]
-                jump[k] = np.square(after.path[0] - before.path[-1]) / max(variance, 1e-30)
+                walked = np.square(after.path[0] - before.path[-1]) / max(variance, 1e-30)
+                jump[k] = min(walked, _straight_jump(pairs, values, pairs >= pairs[parts[1].start]))
             path[:, k] = np.interp(every, pairs, place - place[0])
             sigma[:, k] = np.interp(every, pairs, unsure)
         chance = 0.5 * size * float(scipy.special.chdtrc(1.0, gain.max()))
@@ -117,12 +119,36 @@ def follow(
     return found
 
 
+def find_changes(disparity: Floats, candidates: Sequence[Candidate]) -> tuple[Knock | None, list[CandidatePath]]:
+    """Return the clearest knock, unless it may be a part of a drift, and the path of each candidate.
+
+    The pair and the candidate of a knock are those of the largest change, so its jump is tested as that of any of
+    them (Bonferroni): several things that drift at once make the positions of a third one bend.
+    """
+    knock = find_knock(disparity, candidates)
+    if knock is not None:
+        paths = follow(disparity, candidates, knock.after)
+        jump = next(one.jump_chance for one in paths if one.name == knock.names[0])
+        if jump * len(disparity) * len(candidates) < FALSE_ALARMS:
+            return knock, paths
+    return None, follow(disparity, candidates)
+
+
 def drifting(paths: Sequence[CandidatePath]) -> list[CandidatePath]:
     """Return what drifts, and what explains it nearly as well; nothing where that may be chance."""
     if not paths or min(path.probability for path in paths) >= DRIFT_ALARMS:
         return []
     likely = sorted(paths, key=lambda path: -path.explained)
     return [path for path in likely if path.explained >= AS_GOOD * likely[0].explained]
+
+
+def _straight_jump(pairs: NDArray[np.intp], values: Floats, is_after: NDArray[np.bool_]) -> float:
+    """Square of the step in its uncertainty where both parts drift along one straight line beside it."""
+    rows: Floats = np.column_stack((np.ones(len(pairs)), pairs, is_after)).astype(np.float64)
+    normal = np.asarray(np.linalg.pinv(rows.T @ rows), np.float64)
+    fit: Floats = normal @ (rows.T @ values)
+    noise = float(np.square(values - rows @ fit).sum()) / max(len(pairs) - rows.shape[1], 1)
+    return float(np.square(fit[2]) / max(noise * float(normal[2, 2]), 1e-30))
 
 
 class _Stretch(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import grid_of
-from correction.self_check.drift import CandidatePath, drifting, follow
-from correction.self_check.knocks import FALSE_ALARMS, Knock, find_knock, min_pairs
+from correction.self_check.drift import CandidatePath, drifting, find_changes
+from correction.self_check.knocks import Knock, min_pairs
 from piv.errors import PairError
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.sheet_of_views import BALL, candidates_of, disparities_of, position_rates
@@ -72,11 +72,7 @@ def find_moves(series: Sequence[SeriesInput]) -> Moves:
     pairs, least = min(len(each.given.pairs) for each in series), min_pairs(candidates)
     if pairs < least:
         raise PairError(f"--knocks and --follow need {least} pairs or more, not {pairs}")
-    disparity = disparities_of(series, pairs)
-    knock = find_knock(disparity, candidates)
-    paths = follow(disparity, candidates, None if knock is None else knock.after)
-    if knock is not None and next(one for one in paths if one.name == knock.names[0]).jump_chance > FALSE_ALARMS:
-        knock, paths = None, follow(disparity, candidates)  # a fast drift
+    knock, paths = find_changes(disparities_of(series, pairs), candidates)
     return Moves(knock, tuple(paths))
 
 

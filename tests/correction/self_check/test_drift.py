@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from correction.self_check.drift import drifting, follow
-from tests.correction.self_check.test_knocks import LEFT, PLACES, behind, candidates, disparities
+from correction.self_check.drift import drifting, find_changes, follow
+from tests.correction.self_check.test_knocks import LEFT, PLACES, RIGHT, behind, candidates, disparities
 
 PAIRS = 60
 
@@ -67,3 +67,23 @@ def test_pairs_and_places_that_show_nothing_attenuate_no_drift():
     np.testing.assert_allclose(left.position[-1, :2], path(shape)[-1, :2], atol=0.004)
     assert np.isfinite(left.position).all()
     assert followed(4, path(shape), lost=np.ones((PAIRS, PLACES), bool)) == []
+
+
+def test_several_things_that_drift_at_once_are_no_knock():
+    rates = np.concatenate([one.rates for one in candidates()], axis=-1)
+    rates = rates[..., [0, 1, 6, 7, 9, 10]]  # camera, left and right along x and y
+    for seed in range(8):
+        ends = np.random.default_rng(600 + seed).normal(0.0, 0.04, 6)
+        along = np.linspace(0.0, 1.0, PAIRS)[:, None] * ends
+        found = disparities(seed, pairs=PAIRS) + np.einsum("nac,kc->kna", rates, along)
+        knock, paths = find_changes(found, candidates())
+        assert knock is None
+        assert drifting(paths)
+
+
+def test_a_knock_beside_a_drift_is_found():
+    pushed = np.linspace(0.0, 0.02, PAIRS)[:, None] * np.array([1.0, 0.5, 0.0])
+    found = disparities(7, 30, pairs=PAIRS) + np.einsum("nac,kc->kna", behind(RIGHT), pushed)
+    knock, _ = find_changes(found, candidates())
+    assert knock.names[0] == "left"
+    assert knock.before < 30 <= knock.after <= 33
