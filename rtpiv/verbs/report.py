@@ -8,7 +8,7 @@ import numpy as np
 
 from correction.evaluate.target_error import target_error
 from correction.fitted.prepared import prepare
-from daq.errors import RunUnsuitable
+from daq.errors import RunUnsuitable, RunUsageError
 from daq.runs.acquired import full_scale, read_acquired
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.pairs import pairs_of
@@ -21,11 +21,12 @@ from rtpiv.analysis.pairs.evaluation import IMAGE_ROUTE, Evaluation, PairDetails
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.recipe import CorrectionRecipe
-from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import COPIES, evaluate
+from rtpiv.verbs.join import join
 from rtpiv.verbs.mean import mean
 from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.results import results_in
@@ -51,9 +52,11 @@ def report(
     run : path
         Folder of a run; of several of one plan, the newest finished one.
         Pairs of a shift run are evaluated (each also gets a folder with its vectors); a flow run
-        is averaged as by `mean`; of any other run the first frame through the glass is shown corrected.
+        is averaged as by `mean`, or its cameras are joined as by `mean --join`; of any other run the first
+        frame through the glass is shown corrected.
     out : path, optional
-        Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
+        Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair; of a further
+        camera the same in ``cameras/NAME``.
     scene : path, optional
         scene.yaml, best a fitted one; default the one that the run was corrected with, else the bench's.
     target_clear, dewarp_order
@@ -79,8 +82,12 @@ def report(
     folder = RunFolder.open(run)
     about = folder.about
     out = Path(out) if out is not None else folder.own("report")
+    cameras = folder.cameras()
     if _is_flow(run):
-        mean(run, out, scene, recipe, **options)
+        if cameras:
+            _join_cameras(folder, out, scene, recipe, **options)
+        else:
+            mean(run, out, scene, recipe, **options)
         return out / "mean.html"
     from rtpiv.analysis.report.calibration import calibration_chapter
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
@@ -105,12 +112,30 @@ def report(
             _single_frame(page, folder, loaded, recipe)
         calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
         displacement_chapter(page, folder)
+        if cameras:
+            page.heading("Further cameras")
+            own = "each has a report of its own, with its own scene"
+            rows = [(Link(name, f"cameras/{name}/report.html"), each.path.name) for name, each in cameras.items()]
+            page.table(Table(own, ("camera", "run"), rows))
         account_chapter(page, folder)
         provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
         path = out / "report.html"
         page.write(path)
+        for name, each in cameras.items():
+            report(each.path, out / "cameras" / name, stage_sigma_um=stage_sigma_um, route=route, **options)
         console().print(f"look at {path}", style="bold")
         return path
+
+
+def _join_cameras(
+    folder: RunFolder, out: Path, scene: Path | None, recipe: CorrectionRecipe, **options: Unpack[PivOptions]
+) -> None:
+    """Join the cameras of a flow run: one page, with u, v, w and the reasons of each camera."""
+    if recipe.target_clear is not None:
+        raise RunUsageError("a report of several cameras has no dewarp: leave out --target-clear")
+    views = [folder.path, *(each.path for each in folder.cameras().values())]
+    scenes = [] if scene is None else [scene, *(scene_file(each, out / each.name) for each in views[1:])]
+    join(views, out, scenes, **options)
 
 
 def _is_flow(run: Path) -> bool:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -163,6 +164,43 @@ def test_a_target_run_shows_its_first_frame_through_the_glass(tmp_path):
     assert "Position error of target corners" in text
     assert "000001.tif, target_glass" in text
     assert "The run is not finished" in text
+
+
+def add_camera(folder, name):
+    """Make a further camera of a run: a copy of its folder inside it."""
+    beside = folder.path / "cameras" / name
+    shutil.copytree(folder.path, beside)
+    write_record(folder.path / "run.json", folder.about | {"cameras": [name]})
+    return beside
+
+
+def test_a_run_of_two_cameras_has_a_report_of_each(tmp_path):
+    board = Chessboard(8.0, 3.2)
+    folder = run_folder(tmp_path, "target", [("target_glass", "glass", "chessboard", board, None)])
+    add_camera(folder, "side")
+    assert main(["report", str(folder.path), "-o", str(tmp_path / "page")]) == DONE
+    text = (tmp_path / "page" / "report.html").read_text()
+    (link,) = re.findall('href="(cameras/[^"]*)"', text)
+    own = (tmp_path / "page" / link).read_text()
+    assert "Position error of target corners" in own
+    assert "Further cameras" not in own
+
+
+def test_cameras_of_a_flow_run_are_joined(tmp_path, mocker):
+    folder = run_folder(tmp_path, "flow", [("flow", "glass", "flow", Chessboard(8.0, 3.2), None)])
+    beside = add_camera(folder, "side")
+    mocker.patch("rtpiv.verbs.report._is_flow", return_value=True)
+    joined = mocker.patch("rtpiv.verbs.report.join")
+    fitted = tmp_path / "fitted.yaml"
+    fitted.write_text(dump_scene(small_scene("two_spheres_500", SIZE_PX)))
+    words = ["report", str(folder.path), "-o", str(tmp_path / "page")]
+    assert main(words) == DONE
+    assert joined.call_args.args[:3] == ([folder.path, beside], tmp_path / "page", [])
+    assert main([*words, "--scene", str(fitted)]) == DONE
+    first, second = joined.call_args.args[2]
+    assert first == fitted
+    assert second.read_text() == folder.about["scene"]
+    assert main([*words, "--target-clear", str(fitted)]) == USAGE
 
 
 def test_what_is_no_run_or_holds_nothing_is_one_sentence(tmp_path, capsys):
