@@ -19,9 +19,11 @@ sigma that comes of it, and were up to 2.2 of what vectors tell of themselves (A
 
 **How far it is to be believed.** Vectors follow the noise of the very blocks they are made of. Of N equal blocks
 under a Gaussian window a vector takes e = sum w n/sum w p, whose covariance with the block in its middle is twice
-its variance s^2; so the products hold r^2 + s^2 - 4 s^2 where all detail is kept. Of the three s^2 that they lack
-half are put back (`BACK`; s^2 of one correlation or, if that is less, of the vector after the last filter), since
-in strong gradients part of s^2 is flow. Products are also random by themselves, S, which their scatter tells. So
+its variance s^2; so where all detail is kept the products lack 4 s^2 of the whole error, and 5 s^2 after passes.
+Three of these are put back (`BACK`), of s^2 of one correlation or, if that is less, of the vector after the last
+filter. What the flow does beyond the vectors makes windows uncertain too, as they hold few particles: a fifth of a
+measured m is not noise (`OF_FLOW`). And particle images of variance s_p^2 lean by less than in proportion, of a
+random displacement (1 + s^2/(2 s_p^2))^-1.5. Products are also random by themselves, S, which their scatter tells. So
 what is to be believed of a measurement m is what differs from what was known before, m', by more than both:
 
     m' + q (m - m'),      q = c^4/(1 + c^4),      c = (m - m')^2/(s^4 + (5 S)^2),
@@ -48,7 +50,8 @@ OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and,
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
 REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
-BACK = 1.5  # variances of noise that are put back
+BACK = 3.0  # variances of noise that are put back
+OF_FLOW = 0.2  # of what is measured: adds to the variance of one correlation
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels
 
@@ -123,7 +126,9 @@ def measure_agreement(
     return means
 
 
-def resolution_of(measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Floats, one_px: Floats) -> Floats:
+def resolution_of(
+    measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Floats, one_px: Floats, spread_px2: float
+) -> Floats:
     """Standard deviation (ny, nx) of a component beside its random sigma: measured as far as it can be.
 
     Parameters
@@ -134,11 +139,15 @@ def resolution_of(measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Flo
         What the model says of it.
     sigma_px, one_px : ndarray of float64, shape (ny, nx, 2)
         Random sigma of the vectors, and of one correlation; NaN where not known.
+    spread_px2 : float
+        Variance of a particle image.
     """
     random, noise = (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in (sigma_px, one_px))
+    back = BACK * (1.0 + 0.5 * noise / spread_px2) ** -1.5
     known, unknown = np.zeros_like(random), np.ones_like(random)
     for mean in measured:
-        apart = np.maximum(mean.square_px2 + BACK * np.minimum(random, noise), 0.0) - known
+        followed = np.maximum(np.minimum(random, noise) - OF_FLOW * np.maximum(mean.square_px2, 0.0), 0.0)
+        apart = np.maximum(mean.square_px2 + back * followed, 0.0) - known
         clear = np.square(apart) / np.maximum(
             np.square(noise) + np.square(CLEAR_OF_CHANCE * mean.chance_px2), 1e-30
         )

@@ -360,7 +360,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         weight = good * large * found.refined.gain
         measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])
-        parts = parts * resolution_of(measured, parts[0], sigma, noise) / np.maximum(parts[0], 1e-30)
+        resolved = resolution_of(measured, parts[0], sigma, noise, spread_px2)
+        parts = parts * resolved / np.maximum(parts[0], 1e-30)
         # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
         parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of

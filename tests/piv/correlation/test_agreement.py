@@ -63,13 +63,13 @@ def test_vectors_that_do_not_count_and_frames_that_show_half():
 def test_what_is_measured_well_replaces_the_model_and_what_is_not_leaves_it():
     model, one = np.array([[0.3]]), np.full((1, 1, 2), 0.02)
     sigma = np.full((1, 1, 2), 0.03)
-    sure = resolution_of([Agreed(np.array([[0.05**2]]), np.array([[1e-6]]))], model, sigma, 0.1 * one)
+    sure = resolution_of([Agreed(np.array([[0.05**2]]), np.array([[1e-6]]))], model, sigma, 0.1 * one, 1.0)
     assert sure == pytest.approx(0.04, rel=0.02)  # 0.05 is all of the error, 0.03 of it random
     for vague in (
         Agreed(np.array([[0.05**2]]), np.array([[1.0]])),
         Agreed(np.array([[-0.1]]), np.array([[1e-6]])),
     ):
-        assert resolution_of([vague], model, sigma, one) == pytest.approx(model, rel=1e-3)
+        assert resolution_of([vague], model, sigma, one, 1.0) == pytest.approx(model, rel=1e-3)
 
 
 @pytest.mark.parametrize("overlap", [0.5, 0.75])
