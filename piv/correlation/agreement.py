@@ -19,20 +19,21 @@ sigma that comes of it, and were up to 2.2 of what vectors tell of themselves (A
 
 **How far it is to be believed.** Vectors follow the noise of the very blocks they are made of. Of N equal blocks
 under a Gaussian window a vector takes e = sum w n/sum w p, whose covariance with the block in its middle is twice
-its variance s^2; so where all detail is kept the products lack 4 s^2 of the whole error, and 5 s^2 after passes.
-Three of these are put back (`BACK`), of s^2 of one correlation or, if that is less, of the vector after the last
-filter. What the flow does beyond the vectors makes windows uncertain too, as they hold few particles: a fifth of a
-measured m is not noise (`OF_FLOW`). And particle images of variance s_p^2 lean by less than in proportion, of a
-random displacement (1 + s^2/(2 s_p^2))^-1.5. Products are also random by themselves, S, which their scatter tells. So
+its variance s^2; so where all detail is kept the products lack 4 s^2 of the whole error, and 5 s^2 after passes,
+s^2 of one correlation or, if that is less, of the vector after the last filter. What the flow does beyond the
+vectors makes windows uncertain too, as they hold few particles: a fifth of a measured m is not noise (`OF_FLOW`).
+And particle images of variance s_p^2 lean by less than in proportion, of a random displacement
+(1 + s^2/(2 s_p^2))^-1.5. Products are also random by themselves, S, which their scatter tells. So
 what is to be believed of a measurement m is what differs from what was known before, m', by more than both:
 
     m' + q (m - m'),      q = c^4/(1 + c^4),      c = (m - m')^2/(s^4 + (5 S)^2),
 
 first of the mean over two windows around, with m' = 0, then of that within half a window. Of a variance of which
 nothing was measured, 1 - q of the first times 1 - q of the second, random sigma and the model of
-`piv.correlation.resolution` have the say. In windows of less than `LEAST_BLOCKS` a side both blocks of a pair have
-made the vector, and agree on nothing beyond it: there the model stays. Numbers were chosen by one set of
-`benchmarks.piv_sigma` and judged by the other.
+`piv.correlation.resolution` have the say. What is put back is no measurement, so it is done twice (`BACK`):
+1.5 s^2 leave the model where it is larger, and the whole error is never less than with 3.5 s^2. In windows of less
+than `LEAST_BLOCKS` a side both blocks of a pair have made the vector, and agree on nothing beyond it: there the
+model stays. Numbers were chosen by one set of `benchmarks.piv_sigma` and judged by the other.
 """
 
 from collections.abc import Sequence
@@ -50,7 +51,7 @@ OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and,
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
 REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
-BACK = 3.0  # variances of noise that are put back
+BACK = 1.5, 3.5  # variances of noise that are put back
 OF_FLOW = 0.2  # of what is measured: adds to the variance of one correlation
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels
@@ -143,18 +144,26 @@ def resolution_of(
         Variance of a particle image.
     """
     random, noise = (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in (sigma_px, one_px))
-    back = BACK * (1.0 + 0.5 * noise / spread_px2) ** -1.5
-    known, unknown = np.zeros_like(random), np.ones_like(random)
+    lean = np.minimum(random, noise), (1.0 + 0.5 * noise / spread_px2) ** -1.5
+    (known, unknown), (most, _) = (_whole_error(measured, noise, back, *lean) for back in BACK)
+    missed = np.maximum(known - (1.0 - unknown) * random, 0.0) + unknown * np.square(modelled_px)
+    return np.asarray(np.sqrt(np.maximum(missed, most - random)))
+
+
+def _whole_error(
+    measured: Sequence[Agreed], noise: Floats, back: float, followed: Floats, lean: Floats
+) -> tuple[Floats, Floats]:
+    """Mean square (ny, nx) of the whole error as far as it is measured, and the share of which nothing is."""
+    known, unknown = np.zeros_like(noise), np.ones_like(noise)
     for mean in measured:
-        followed = np.maximum(np.minimum(random, noise) - OF_FLOW * np.maximum(mean.square_px2, 0.0), 0.0)
-        apart = np.maximum(mean.square_px2 + back * followed, 0.0) - known
+        of_noise = np.maximum(followed - OF_FLOW * np.maximum(mean.square_px2, 0.0), 0.0)
+        apart = np.maximum(mean.square_px2 + back * lean * of_noise, 0.0) - known
         clear = np.square(apart) / np.maximum(
             np.square(noise) + np.square(CLEAR_OF_CHANCE * mean.chance_px2), 1e-30
         )
         share = 1.0 - 1.0 / (1.0 + clear**4)
         known, unknown = known + share * apart, unknown * (1.0 - share)
-    missed = np.maximum(known - (1.0 - unknown) * random, 0.0)
-    return np.asarray(np.sqrt(missed + unknown * np.square(modelled_px)))
+    return known, unknown
 
 
 def _opposite(values: Singles) -> Singles:

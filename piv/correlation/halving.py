@@ -34,8 +34,9 @@ exp(-d^2/(4 s^2)), so
 is the mean square of a component, e_0 what following noise explains. It is the least that `piv.correlation.pair`
 says of their resolution: under noise nothing else shows it. By chance e differs from e_0 (`CHANCE` has both,
 measured in uniform flows), and where a frame shows no flow half of those differences are positive. So the mean x
-of e - e_0 over a usual window, without places that take the finest ones, counts by t^2/(1 + t^2), t = (x/x_0)^2,
-x_0 the chance deviation at one place: two of such a mean.
+of e - e_0 over a usual window, without places that take the finest ones, counts by t^4/(1 + t^4). With x_0 the
+chance deviation at one place and x_0/sqrt(2) that of the mean, t = x/(x_0 sqrt(ln N)), as the largest of N windows
+of a frame is by chance; or, if that is more, the mean of the whole frame over x_0.
 
 Lepski, Theory Probab. Appl. 35, 454 (1991), on the principle: the largest window that smaller ones do not
 contradict.
@@ -119,8 +120,10 @@ def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, 
         for part in (beyond, np.ones_like(beyond))
     )
     mean = np.where(fine, beyond, sums / np.maximum(weights, 1e-3))
-    clear = np.square(np.square(mean / chance))
-    return np.maximum(mean, 0.0) * clear / (1.0 + clear)
+    largest = np.sqrt(np.log(max(fine.size / window_steps**2, np.e)))
+    field = max(float(beyond[~fine].mean()), 0.0) if not fine.all() else 0.0
+    clear = (np.maximum(np.maximum(mean, 0.0) / largest, field) / chance) ** 4
+    return np.asarray(np.maximum(mean, 0.0) * clear / (1.0 + clear))
 
 
 def _gain_to_expect(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
