@@ -30,13 +30,13 @@ what is to be believed of a measurement m is what differs from what was known be
 
 first of the mean over two windows around, with m' = 0, then of that within half a window. Of a variance of which
 nothing was measured, 1 - q of the first times 1 - q of the second, random sigma and the model of
-`piv.correlation.resolution` have the say. What is put back is no measurement, so it is done twice (`BACK`):
-1.5 s^2 leave the model where it is larger, and the whole error is never less than with 3.5 s^2. In windows of less
-than `LEAST_BLOCKS` a side both blocks of a pair have made the vector, and agree on nothing beyond it: there the
+`piv.correlation.resolution` have the say. What is put back is no measurement: 1.5 s^2 (`BACK`) leave the model its
+say, and the whole error of a single vector is never less than with 3.5 s^2 (`FOLLOWED`). In windows of less than
+`LEAST_BLOCKS` a side both blocks of a pair have made the vector, and agree on nothing beyond it: there the
 model stays. Numbers were chosen by one set of `benchmarks.piv_sigma` and judged by the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +51,7 @@ OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and,
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
 REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
-BACK = 1.5, 3.5  # variances of noise that are put back
+BACK, FOLLOWED = 1.5, 3.5  # variances of noise that are put back: where the model counts, and at least
 OF_FLOW = 0.2  # of what is measured: adds to the variance of one correlation
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels
@@ -127,9 +127,7 @@ def measure_agreement(
     return means
 
 
-def resolution_of(
-    measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Floats, one_px: Floats, spread_px2: float
-) -> Floats:
+def resolution_of(measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Floats, one_px: Floats) -> Floats:
     """Standard deviation (ny, nx) of a component beside its random sigma: measured as far as it can be.
 
     Parameters
@@ -140,24 +138,35 @@ def resolution_of(
         What the model says of it.
     sigma_px, one_px : ndarray of float64, shape (ny, nx, 2)
         Random sigma of the vectors, and of one correlation; NaN where not known.
-    spread_px2 : float
-        Variance of a particle image.
     """
-    random, noise = (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in (sigma_px, one_px))
-    lean = np.minimum(random, noise), (1.0 + 0.5 * noise / spread_px2) ** -1.5
-    (known, unknown), (most, _) = (_whole_error(measured, noise, back, *lean) for back in BACK)
-    missed = np.maximum(known - (1.0 - unknown) * random, 0.0) + unknown * np.square(modelled_px)
-    return np.asarray(np.sqrt(np.maximum(missed, most - random)))
+    random, noise = _variances(sigma_px, one_px)
+    known, unknown = _whole_error(measured, noise, [BACK * np.minimum(random, noise)] * len(measured))
+    missed = np.maximum(known - (1.0 - unknown) * random, 0.0)
+    return np.asarray(np.sqrt(missed + unknown * np.square(modelled_px)))
 
 
-def _whole_error(
-    measured: Sequence[Agreed], noise: Floats, back: float, followed: Floats, lean: Floats
-) -> tuple[Floats, Floats]:
-    """Mean square (ny, nx) of the whole error as far as it is measured, and the share of which nothing is."""
+def least_resolution(measured: Sequence[Agreed], sigma_px: Floats, one_px: Floats, spread_px2: float) -> Floats:
+    """Least (ny, nx) that `resolution_of` is with all of the noise that vectors follow, new in every pair.
+
+    `spread_px2` is the variance of a particle image.
+    """
+    random, noise = _variances(sigma_px, one_px)
+    lean = FOLLOWED * (1.0 + 0.5 * noise / spread_px2) ** -1.5
+    of_flow = (OF_FLOW * np.maximum(mean.square_px2, 0.0) for mean in measured)
+    lacking = [lean * np.maximum(np.minimum(random, noise) - part, 0.0) for part in of_flow]
+    return np.asarray(np.sqrt(np.maximum(_whole_error(measured, noise, lacking)[0] - random, 0.0)))
+
+
+def _variances(*sigmas_px: Floats) -> Iterator[Floats]:
+    """Variances (ny, nx) of a component, 1 where not known."""
+    return (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in sigmas_px)
+
+
+def _whole_error(measured: Sequence[Agreed], noise: Floats, lacking: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Mean square (ny, nx) of the error as far as it is measured, and the share of which nothing is."""
     known, unknown = np.zeros_like(noise), np.ones_like(noise)
-    for mean in measured:
-        of_noise = np.maximum(followed - OF_FLOW * np.maximum(mean.square_px2, 0.0), 0.0)
-        apart = np.maximum(mean.square_px2 + back * lean * of_noise, 0.0) - known
+    for mean, back in zip(measured, lacking, strict=True):
+        apart = np.maximum(mean.square_px2 + back, 0.0) - known
         clear = np.square(apart) / np.maximum(
             np.square(noise) + np.square(CLEAR_OF_CHANCE * mean.chance_px2), 1e-30
         )

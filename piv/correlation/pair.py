@@ -52,7 +52,7 @@ from numpy.typing import NDArray
 
 from ground.blas import one_blas_thread
 from ground.memory import require_memory
-from piv.correlation.agreement import LEAST_BLOCKS, measure_agreement, resolution_of
+from piv.correlation.agreement import LEAST_BLOCKS, least_resolution, measure_agreement, resolution_of
 from piv.correlation.common_light import (
     LAGS,
     CommonLight,
@@ -360,8 +360,8 @@ def _judge_vectors(course: MultipassState, spread_px2: float, added: int, missed
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         weight = good * large * found.refined.gain
         measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])
-        resolved = resolution_of(measured, parts[0], sigma, noise, spread_px2)
-        parts = parts * resolved / np.maximum(parts[0], 1e-30)
+        parts = parts * resolution_of(measured, parts[0], sigma, noise) / np.maximum(parts[0], 1e-30)
+        parts[0] = np.maximum(parts[0], least_resolution(measured, sigma, noise, spread_px2))
         # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
         parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piv.correlation.agreement import Agreed, measure_agreement, resolution_of
+from piv.correlation.agreement import Agreed, least_resolution, measure_agreement, resolution_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.uncertainty import Blocks
 from piv.correlation.windows import window_grid
@@ -63,13 +63,47 @@ def test_vectors_that_do_not_count_and_frames_that_show_half():
 def test_what_is_measured_well_replaces_the_model_and_what_is_not_leaves_it():
     model, one = np.array([[0.3]]), np.full((1, 1, 2), 0.02)
     sigma = np.full((1, 1, 2), 0.03)
-    sure = resolution_of([Agreed(np.array([[0.05**2]]), np.array([[1e-6]]))], model, sigma, 0.1 * one, 1.0)
+    sure = resolution_of([Agreed(np.array([[0.05**2]]), np.array([[1e-6]]))], model, sigma, 0.1 * one)
     assert sure == pytest.approx(0.04, rel=0.02)  # 0.05 is all of the error, 0.03 of it random
     for vague in (
         Agreed(np.array([[0.05**2]]), np.array([[1.0]])),
         Agreed(np.array([[-0.1]]), np.array([[1e-6]])),
     ):
-        assert resolution_of([vague], model, sigma, one, 1.0) == pytest.approx(model, rel=1e-3)
+        assert resolution_of([vague], model, sigma, one) == pytest.approx(model, rel=1e-3)
+
+
+@pytest.mark.parametrize("amplitude_px", [0.2, 0.25])
+def test_noise_that_vectors_follow_is_given_back(amplitude_px):
+    """Vectors made of the very blocks hide their noise, and the flow beside it, from products of these blocks."""
+    grid, noise = window_grid(SHAPE, 32, 0.75), 0.3
+
+    def wave(u, v):
+        return amplitude_px * np.sin(2 * np.pi * u / 90) + 0 * v, amplitude_px * np.sin(2 * np.pi * v / 90) + 0 * u
+
+    errors, products, variances = [], [], []
+    for seed in range(6):
+        blocks = blocks_that_move_by(wave, noise, seed)
+        down, along = (
+            np.exp(-0.5 * ((node[:, None] - place[None]) / 8.0) ** 2)
+            for node, place in zip((grid.y_px, grid.x_px), blocks.centres, strict=True)
+        )
+        leans, light = blocks.lean * blocks.by_shift, np.square(blocks.by_shift)
+        total = np.stack([down @ part @ along.T for part in light], -1)
+        vectors = np.stack([down @ part @ along.T for part in leans], -1) / total
+        variance = noise**2 * np.stack([down**2 @ part @ along.T**2 for part in light], -1) / np.square(total)
+        off = vectors - np.stack(wave(*np.meshgrid(grid.x_px, grid.y_px)), -1)
+        found = measure_agreement(blocks, grid, vectors, np.ones(grid.shape), 32)[0]
+        for parts, part in zip(
+            (errors, products, variances), (np.square(off), found.square_px2, variance), strict=True
+        ):
+            parts.append(part[4:-4, 4:-4].mean())
+    error, variance = np.mean(errors), np.mean(variances)
+    measured = [Agreed(np.full((1, 1), np.mean(products)), np.full((1, 1), 0.01 * variance))]
+    sigma = np.full((1, 1, 2), np.sqrt(variance))
+    assert measured[0].square_px2 < 0.6 * error
+    stated = np.square(least_resolution(measured, sigma, sigma, 1.0)) + variance
+    assert np.sqrt(error / stated) == pytest.approx(1.0, abs=0.15)
+    assert stated > np.square(resolution_of(measured, np.zeros((1, 1)), sigma, sigma)) + variance
 
 
 @pytest.mark.parametrize("overlap", [0.5, 0.75])
