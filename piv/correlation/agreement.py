@@ -151,7 +151,8 @@ def least_resolution(measured: Sequence[Agreed], sigma_px: Floats, one_px: Float
     `spread_px2` is the variance of a particle image.
     """
     random, noise = _variances(sigma_px, one_px)
-    lean = FOLLOWED * (1.0 + 0.5 * noise / spread_px2) ** -1.5
+    saturation = 1.0 + 0.5 * noise / spread_px2
+    lean = FOLLOWED / (saturation * np.sqrt(saturation))
     of_flow = (OF_FLOW * np.maximum(mean.square_px2, 0.0) for mean in measured)
     lacking = [lean * np.maximum(np.minimum(random, noise) - part, 0.0) for part in of_flow]
     return np.asarray(np.sqrt(np.maximum(_whole_error(measured, noise, lacking)[0] - random, 0.0)))
@@ -159,7 +160,7 @@ def least_resolution(measured: Sequence[Agreed], sigma_px: Floats, one_px: Float
 
 def _variances(*sigmas_px: Floats) -> Iterator[Floats]:
     """Variances (ny, nx) of a component, 1 where not known."""
-    return (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in sigmas_px)
+    return (np.nan_to_num(0.5 * np.einsum("ijk,ijk->ij", part, part), nan=1.0) for part in sigmas_px)
 
 
 def _whole_error(measured: Sequence[Agreed], noise: Floats, lacking: Sequence[Floats]) -> tuple[Floats, Floats]:
@@ -170,7 +171,7 @@ def _whole_error(measured: Sequence[Agreed], noise: Floats, lacking: Sequence[Fl
         clear = np.square(apart) / np.maximum(
             np.square(noise) + np.square(CLEAR_OF_CHANCE * mean.chance_px2), 1e-30
         )
-        share = 1.0 - 1.0 / (1.0 + clear**4)
+        share = 1.0 - 1.0 / (1.0 + np.square(np.square(clear)))
         known, unknown = known + share * apart, unknown * (1.0 - share)
     return known, unknown
 

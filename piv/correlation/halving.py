@@ -105,14 +105,28 @@ def find_sizes(course: MultipassState, grid: WindowGrid, spread_px2: float, samp
     while added < settings.extra_passes and _needs_another_pass(course.found):
         course.run_pass(grid, None, sizes)
         added += 1
-    flow = _clear_share(explained, fine, spread_px2, usual_px / grid.step_px)
+    flow = clear_share_explained(explained, fine, spread_px2, usual_px / grid.step_px)
     gained = flow * (1.0 - before) / np.maximum(after, 1e-3)
     missed = np.sqrt(2.0 * sampled_px2 * np.clip(gained, 0.0, 1.0))
     return Found(added, np.where(sizes.which == 1, missed, 0.0))
 
 
-def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, window_steps: float) -> Floats:
-    """Return the share (ny, nx) that halving explains clearly beyond chance; not negative. See the top."""
+def clear_share_explained(
+    explained: Floats, fine: NDArray[np.bool_], spread_px2: float, window_steps: float
+) -> Floats:
+    """Return the share (ny, nx) that halving explains clearly beyond chance; not negative. See the top.
+
+    Parameters
+    ----------
+    explained : ndarray of float64, shape (ny, nx)
+        What halving explains of what does not match.
+    fine : ndarray of bool, shape (ny, nx)
+        Places that take the finest windows.
+    spread_px2 : float
+        Variance of a particle image.
+    window_steps : float
+        Side of a usual window [grid steps].
+    """
     usual, chance = (float(np.interp(spread_px2, CHANCE[0], values)) for values in CHANCE[1:])
     beyond = explained - usual
     sums, weights = (
@@ -122,7 +136,7 @@ def _clear_share(explained: Floats, fine: NDArray[np.bool_], spread_px2: float, 
     mean = np.where(fine, beyond, sums / np.maximum(weights, 1e-3))
     largest = np.sqrt(np.log(max(fine.size / window_steps**2, np.e)))
     field = max(float(beyond[~fine].mean()), 0.0) if not fine.all() else 0.0
-    clear = (np.maximum(np.maximum(mean, 0.0) / largest, field) / chance) ** 4
+    clear = np.square(np.square(np.maximum(np.maximum(mean, 0.0) / largest, field) / chance))
     return np.asarray(np.maximum(mean, 0.0) * clear / (1.0 + clear))
 
 

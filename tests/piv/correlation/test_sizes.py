@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import scipy
 from scipy.interpolate import RegularGridInterpolator
 
 from piv.correlation.deform import DeformedPair, deform_pair
-from piv.correlation.halving import effective_particles
+from piv.correlation.halving import CHANCE, clear_share_explained, effective_particles
 from piv.correlation.passes import MultipassState
 from piv.correlation.prepare import prepare_pair
 from piv.correlation.refine import refine
@@ -228,3 +229,20 @@ def test_large_particle_images_are_not_counted_several_times():
         np.median(effective_particles(frame - np.float32(frame.mean()), grid, 0.3, s2)) for s2 in (0.0, 9.0)
     )
     assert true < 0.6 * small
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_halving_explains_by_chance_does_not_count_and_a_field_or_a_place_that_is_clear_does(seed):
+    spread_px2, usual, chance = (column[3] for column in CHANCE)
+    by_chance = scipy.ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(80, 80)), 1.7)
+    by_chance *= chance / by_chance.std()
+    fine = np.zeros(by_chance.shape, bool)
+    place = np.zeros_like(by_chance)
+    place[30:42, 30:42] = 5.0 * chance
+    of_chance, of_place, of_field = (
+        clear_share_explained(usual + by_chance + part, fine, spread_px2, 4.0)
+        for part in (0.0, place, 2.0 * chance)
+    )
+    assert of_chance.mean() < 0.02 * chance
+    assert of_place[34:38, 34:38].mean() == pytest.approx(5.0 * chance, rel=0.3)
+    assert of_field.mean() == pytest.approx(2.0 * chance, rel=0.2)
