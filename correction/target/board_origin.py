@@ -37,6 +37,7 @@ MARK_EDGE = 0.35
 # Of a triangle (`_triangularity`), and times that of the other marks
 TRIANGULAR, CLEARLY_MORE = 0.15, 2.0
 WIDEST_MARK, CLEAR_OF_DOTS = 0.45, 0.3  # squares from the middle of a mark, and from the dots around it
+CELLS_ALIKE = 9  # cells of one level that show walls and shadows alike
 # Of the contrast of dots, in the middle of a mark
 PRESENT, BRIGHTEST = 0.5, 1.8
 DISC, NO_DISC = 0.5, 0.25  # of the contrast: middle of a square against its border, if it has a disc, or has none
@@ -285,15 +286,28 @@ def _marks_between(
     dots = np.array([[place[i + a, j + b] for a, b in AROUND_SQUARE] for i, j in cells]).reshape(-1, 4, 2)
     # Two opposite corners are of the row of the mark, and on its level, where rows are staggered.
     middle = [dots[:, first::2].mean(axis=1) for first in (0, 1)]
-    share = np.stack([_share_of_row(frame, patch, dots, first) for first in (0, 1)])
+    near = _cells_alike(cells, dots.mean(axis=1))
+    share = np.stack([_share_of_row(frame, patch, dots, near, first) for first in (0, 1)])
     marked = share.max(axis=0) > PRESENT
     chosen = np.array(cells, np.int64).reshape(-1, 2)[marked]
-    at = np.where((share[0] > share[1])[:, None], *middle)[marked]
+    at = np.where((share[0] > share[1])[:, None], *middle)
     assert board.dots is not None
     if board.dots.triangle is None:
         return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
-    shape = [_triangularity(frame, one, around, board.dots) for one, around in zip(at, dots[marked], strict=True)]
+    shape = [_triangularity(frame, at[near[n]], dots[near[n]], board.dots) for n in np.flatnonzero(marked)]
     return chosen, np.zeros(len(chosen), bool), np.array(shape)
+
+
+def _cells_alike(cells: list[Square], middle_px: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Cells (N, CELLS_ALIKE) on the level of each, or fewer: itself first, then the nearest ones to it."""
+    odd = np.array(cells, np.int64).reshape(-1, 2).sum(axis=1) % 2
+    count = max(min(CELLS_ALIKE, *np.bincount(odd, minlength=2).tolist()), 1)
+    near = np.repeat(np.arange(len(cells))[:, None], count, axis=1)
+    for own in (np.flatnonzero(odd == 0), np.flatnonzero(odd)):
+        if len(own) > 1:
+            found = scipy.spatial.cKDTree(middle_px[own]).query(middle_px[own], k=count)[1]
+            near[own] = own[found.reshape(len(own), count)]
+    return near
 
 
 def _with_triangle(
@@ -321,18 +335,21 @@ def _with_triangle(
 def _triangularity(
     frame: NDArray[Any], at_px: NDArray[np.float64], around_px: NDArray[np.float64], dots: Dots
 ) -> float:
-    """Return how much like a triangle a mark at a place (2,) amid four dots (4, 2), in turn, is.
+    """Return how much like a triangle the first of some marks (M, 2), amid four dots (M, 4, 2) in turn, is.
 
     |<z^3>| / <|z|^2>^(3/2), z the complex place within the mark, is 0.8 of a triangle, 0 of a square or a disc.
+    Walls and shadows are there beside the others too, and are taken off.
     """
-    first, second, third, fourth = around_px
+    first, second, third, fourth = np.moveaxis(around_px, 1, 0)
     axes = 0.5 * np.stack((second - first + third - fourth, fourth - first + third - second), axis=-1)
-    beside = np.linalg.solve(axes, (around_px - at_px).T).T  # squares; on a plate these dots lie elsewhere
+    beside = np.linalg.solve(axes[0], (around_px[0] - at_px[0]).T).T  # squares; on a plate these dots lie elsewhere
     away = np.linalg.norm(_GRID[:, None] - beside, axis=-1).min(axis=1)
     within = _GRID[(away > CLEAR_OF_DOTS) & (np.hypot(*_GRID.T) <= WIDEST_MARK)]
-    light = _rings(frame, (at_px + within @ axes.T)[None, :, None])[0].astype(np.float64)
+    light = _rings(frame, (at_px[:, None] + np.einsum("nij,kj->nki", axes, within))[:, :, None]).astype(np.float64)
+    light /= np.maximum(np.median(light, axis=1, keepdims=True), 1e-9)  # most within is ground
+    light = light[0] - np.median(light[1:], axis=0) if len(light) > 2 else light[0]
     light = light if dots.bright else -light
-    ground, mark = np.percentile(light, (50.0, 95.0))  # most within is ground, walls are darker
+    ground, mark = np.percentile(light, (50.0, 95.0))
     weight = np.clip((light - ground) / max(float(mark - ground), 1e-9) - MARK_EDGE, 0.0, MARK_EDGE) + 1e-9
     z = within @ np.array((1.0, 1.0j))
     z = z - np.average(z, weights=weight)
@@ -368,11 +385,14 @@ def _with_holes(patch: Patch) -> tuple[dict[Square, NDArray[np.float64]], list[S
     return place | holes, list(holes)
 
 
-def _share_of_row(frame: NDArray[Any], patch: Patch, dots: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+def _share_of_row(
+    frame: NDArray[Any], patch: Patch, dots: NDArray[np.float64], near: NDArray[np.intp], first: int
+) -> NDArray[np.float64]:
     """Level (N,) amid four dots (N, 4, 2), 0 of the ground and 1 of both dots `first`, `first` + 2; 0 of no mark.
 
-    Ground is asked between these two: light and shadow of the other level do not reach there.  What is brighter
-    than both dots, or goes on across, as a rod before the plate does, is no mark.
+    Ground is asked between these two: light and shadow of the other level do not reach there, and where they do,
+    they are amid most of the cells `near` (N, M) as well.  What is brighter than both dots, or goes on across, as
+    a rod before the plate does, is no mark.
     """
     one, other, left, right = np.moveaxis(np.roll(dots, -first, axis=1)[:, [0, 2, 1, 3]], 1, 0)
     at, along, across = 0.5 * (one + other), 0.25 * (other - one), 0.25 * (right - left)
@@ -380,6 +400,7 @@ def _share_of_row(frame: NDArray[Any], patch: Patch, dots: NDArray[np.float64], 
     value = _levels_at(frame, patch, asked)
     dot, ground = value[:, 1:3].mean(axis=1), value[:, 3:5].mean(axis=1)
     share = (value - ground[:, None]) / np.where(dot == ground, np.inf, dot - ground)[:, None]
+    share = share - np.median(share[near], axis=1)
     is_mark = (share[:, 0] < BRIGHTEST) & (share[:, 5:].min(axis=1) < PRESENT)
     return np.where(is_mark, share[:, 0], 0.0)
 
