@@ -29,6 +29,7 @@ NEAREST_DOTS = 9  # nearest dots that are asked for the grid's directions
 AROUND, NEARER_THAN_DOTS = 4, 0.82  # dots around a mark, 0.71 pitches away; of what dots are from four others
 ALIKE = 0.6  # shorter over longer step, there
 USUAL_PX = 24.0  # a dot, if no width is known
+WALL_PX, WALL_DIRECTIONS = 41, 24  # pixels, longer than a dot; lines 7.5 degrees apart stay within walls of 3 px
 
 
 def find_dots(
@@ -37,6 +38,7 @@ def find_dots(
     pitch_mm: float,
     dot_px: float | None = None,
     mask: NDArray[np.bool_] | None = None,
+    beside_walls: bool = False,
 ) -> Saddles:
     """Find dots, the darkest first.
 
@@ -52,6 +54,8 @@ def find_dots(
         Diameter of the largest dots as seen without glass.
     mask : (H, W) bool, optional
         True where dots may lie.
+    beside_walls : bool
+        Take off what is as dark along a line longer than dots: walls and shadows of a plate, which join its dots.
 
     Returns
     -------
@@ -66,6 +70,8 @@ def find_dots(
     side = 2 * int(0.5 * MAX_DOT_RATIO * (dot_px or USUAL_PX)) + 1
     paper = cv2.morphologyEx(light, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
     depth = 1.0 - light / np.maximum(paper, 1e-6)
+    if beside_walls:
+        depth = np.maximum(depth - _walls(depth), 0.0)
     deepest = cv2.dilate(depth, np.ones((NEARBY_PX, NEARBY_PX), np.uint8))
     dark = (depth > 0.5 * deepest) & (deepest > FAINTEST)
     count, label, boxes, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=4)
@@ -93,6 +99,20 @@ def find_dots(
             found = found[~_stand_between(mean[found], covariance[found])]
         towards = _directions(mean[found], covariance[found])
     return Saddles(mean[found], towards, depths[found], alike=True, levels=dots.levels, steps=steps)
+
+
+def _walls(depth: NDArray[Any]) -> NDArray[Any]:
+    """Depth (H, W) that goes on for WALL_PX in a line, in any direction."""
+    import cv2
+
+    out = np.zeros_like(depth)
+    for angle in np.pi * np.arange(WALL_DIRECTIONS) / WALL_DIRECTIONS:
+        line = np.zeros((WALL_PX, WALL_PX), np.uint8)
+        way = np.rint(0.5 * (WALL_PX - 1) * np.array((np.cos(angle), np.sin(angle)))).astype(int)
+        middle = WALL_PX // 2
+        cv2.line(line, (middle - way[0], middle - way[1]), (middle + way[0], middle + way[1]), 1)
+        out = np.maximum(out, cv2.morphologyEx(depth, cv2.MORPH_OPEN, line))
+    return out
 
 
 def _moments(

@@ -20,6 +20,7 @@ def find_marks(
     board: Chessboard,
     mask: NDArray[np.bool_] | None = None,
     square_px: float | None = None,
+    beside_walls: bool = False,
 ) -> Saddles:
     """Find all that may be marks of a board, wherever they are.
 
@@ -32,10 +33,12 @@ def find_marks(
         True where marks may lie.
     square_px : float, optional
         Side of a square, or from dot to dot, as seen without glass: large squares are looked for faster.
+    beside_walls : bool
+        As of `find_dots`.
     """
     if board.dots is not None:
         dot_px = None if square_px is None else square_px * board.disc_mm / board.square_mm
-        return find_dots(frame, board.dots, board.square_mm, dot_px, mask)
+        return find_dots(frame, board.dots, board.square_mm, dot_px, mask, beside_walls)
     return find_saddles(frame, mask) if square_px is None else coarse_saddles(frame, square_px, mask)
 
 

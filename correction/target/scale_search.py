@@ -9,6 +9,7 @@ lattice as well; a corner counts where both bright squares around it are brighte
 copies cost little: one is not grown where nearly all of its saddles are corners that are known already.
 """
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -57,7 +58,8 @@ def find_patches(
     if square_px is not None:
         return best
     if board.dots is not None:
-        is_full = bool(best) and _is_full(best[0], len(marks))
+        walls_as_dark = bool(board.dots.levels) and not board.dots.bright  # these hide a level, and the other is full
+        is_full = bool(best) and _is_full(best[0], len(marks)) and not walls_as_dark
         return best if is_full else _dots_in_copies(frame, board, mask, best)
     counts = [_count_corners(frame, board, patch) for patch in best]
     most = max(counts, default=0)
@@ -87,17 +89,19 @@ def _is_full(patch: Patch, dots: int) -> bool:
 def _dots_in_copies(
     frame: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None, best: list[Patch]
 ) -> list[Patch]:
-    """Patches of dots, of the copy that shows more of them: in dim frames noise tears dots apart."""
+    """Patches of dots, of the copy that shows more of them: noise tears dots apart, walls of plates join them."""
     import cv2
 
-    for shrink in COARSER_DOTS:
+    assert board.dots is not None
+    copies = itertools.product((False, True) if board.dots.levels else (False,), COARSER_DOTS)
+    for beside_walls, shrink in copies:
         most = len(best[0].index) if best else 0
         height, width = frame.shape[0] // shrink, frame.shape[1] // shrink
         cut = np.s_[: height * shrink, : width * shrink]
         small = cv2.resize(frame[cut].astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
         middle = np.s_[shrink // 2 :: shrink, shrink // 2 :: shrink]
         seen = None if mask is None else np.ascontiguousarray(mask[cut][middle])
-        patches = grow_marks(find_marks(small, board, seen))
+        patches = grow_marks(find_marks(small, board, seen, beside_walls=beside_walls))
         if patches and len(patches[0].index) > COARSER_GAIN * most:
             best = [
                 replace(
