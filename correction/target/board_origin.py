@@ -342,7 +342,7 @@ def _triangularity(
     """
     first, second, third, fourth = np.moveaxis(around_px, 1, 0)
     axes = 0.5 * np.stack((second - first + third - fourth, fourth - first + third - second), axis=-1)
-    beside = np.linalg.solve(axes[0], (around_px[0] - at_px[0]).T).T  # squares; on a plate these dots lie elsewhere
+    beside = np.linalg.solve(axes[0], (around_px[0] - at_px[0]).T).T  # squares; dots of a plate lie elsewhere
     away = np.linalg.norm(_GRID[:, None] - beside, axis=-1).min(axis=1)
     within = _GRID[(away > CLEAR_OF_DOTS) & (np.hypot(*_GRID.T) <= WIDEST_MARK)]
     light = _rings(frame, (at_px[:, None] + np.einsum("nij,kj->nki", axes, within))[:, :, None]).astype(np.float64)

@@ -58,7 +58,8 @@ def find_patches(
     if square_px is not None:
         return best
     if board.dots is not None:
-        walls_as_dark = bool(board.dots.levels) and not board.dots.bright  # these hide a level, and the other is full
+        # Walls hide one level; the other is full by itself.
+        walls_as_dark = bool(board.dots.levels) and not board.dots.bright
         is_full = bool(best) and _is_full(best[0], len(marks)) and not walls_as_dark
         return best if is_full else _dots_in_copies(frame, board, mask, best)
     counts = [_count_corners(frame, board, patch) for patch in best]

@@ -24,6 +24,10 @@ from tracer.scene.fit_section import FitCameraTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
+GLASS = (
+    "{} describes glass, and names of these frames say of none: they were taken as bare. If glass stood before the"
+    " board, this lens is wrong; name such frames target_glass_pose1.tif ..., bare ones target_clear_pose1.tif ..."
+)
 FOCUS = "Focal length and lens terms hold for this zoom and focus; leave both rings alone from now on."
 
 
@@ -79,11 +83,13 @@ def calibrate_lens(
             raise ViewsMissing(f"no frame shows the board; {name}: {why}")
         known = FitCameraTable() if nominal is None else nominal[1].camera
         fit = fit_lens(seen, (first.shape[1], first.shape[0]), known.pixel_aspect)
+        glass = [GLASS.format(scene)] if nominal is not None and nominal[0].bodies else []
         fit = replace(fit, refused={**missed, **fit.refused})
-        write_json(out / "lens.json", _facts(fit))
+        warnings = [*glass, *fit.warnings]
+        write_json(out / "lens.json", {**_facts(fit), "warnings": warnings})
         if nominal is not None and fit.has_square_pixels:
             write_text(out / "scene.yaml", _with_lens(*nominal, fit))
-        _show(fit)
+        _show(fit, warnings)
         if pictures:
             with drawing() as draw:
                 at = np.concatenate([fit.seen[tag].position_px for tag in fit.residual_px])
@@ -132,11 +138,10 @@ def _facts(fit: LensFit) -> dict[str, object]:
             tag: float(np.sqrt(np.nanmean((off**2).sum(axis=1)))) for tag, off in fit.residual_px.items()
         },
         "left_out": fit.refused,
-        "warnings": fit.warnings,
     }
 
 
-def _show(fit: LensFit) -> None:
+def _show(fit: LensFit, warnings: list[str]) -> None:
     screen = console()
     rows = [
         (name, with_sigma(value, sigma))
@@ -149,6 +154,6 @@ def _show(fit: LensFit) -> None:
     )
     for name, why in fit.refused.items():
         screen.print(f"{name} is left out: {why}", style="bold red")
-    for warning in fit.warnings:
+    for warning in warnings:
         screen.print(warning, style="bold red")
     screen.print(FOCUS)

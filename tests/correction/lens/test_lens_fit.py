@@ -134,9 +134,18 @@ def test_photographs_agree_with_opencv_and_become_the_prior_of_a_scene(tmp_path,
     assert kept.focal_px == found.camera.focal_px
     assert kept.lens == found.camera.lens
     assert load_priors(tmp_path / "lens" / "scene.yaml").camera.focal_px == pytest.approx(found.sigma[0])
-    numbers = json.loads((tmp_path / "lens" / "lens.json").read_text())["numbers"]
-    assert list(numbers) == list(SHARED)
+    facts = json.loads((tmp_path / "lens" / "lens.json").read_text())
+    assert list(facts["numbers"]) == list(SHARED)
     assert "13 boards" in capsys.readouterr().out
+    assert not any("describes glass" in warning for warning in facts["warnings"])
+    for path in sorted(taken.iterdir())[4:]:
+        path.unlink()
+    ball = "{name: ball, kind: sphere, centre_mm: [0, 0, 30], radius_mm: 10.0, material: acrylic}"
+    scene.write_text(scene.read_text().replace("[]", f"[{ball}]"))
+    calibrate(taken, scene=scene, square_mm=25.0, out=tmp_path / "glass", pictures=False)
+    warnings = json.loads((tmp_path / "glass" / "lens.json").read_text())["warnings"]
+    assert "describes glass" in warnings[0]
+    assert "target_glass_pose1.tif" in warnings[0]
 
 
 def test_frames_of_a_stage_with_other_names_are_told_how_to_be_named(tmp_path):
