@@ -209,7 +209,7 @@ class Block(Body):
         if not inner_mm > taken_mm:
             raise SceneError(
                 f"{who}: wall_mm and edge_mm, {taken_mm:g} mm together, leave nothing of its half of"
-                f" {inner_mm:.4g} mm"
+                f" {inner_mm:.4g} mm; give less than that, or a larger size"
             )
         if self.filled is not None and self.wall_mm == 0.0:
             raise SceneError(f"{who}: a solid one, of wall_mm 0, has no inside; drop filled or give wall_mm")

@@ -350,7 +350,9 @@ class Scene:
         ]
         for body in self.bodies:
             if body.room is None and body.distance_mm(camera) <= 0.0:
-                problems.append((body.name, f"the camera is inside body {body.name!r}"))
+                problems.append(
+                    (body.name, f"the camera is inside body {body.name!r}; correct its place or size, or L_mm")
+                )
             through = body.lowest_mm < -CONTACT_TOL_MM - self.cut_mm and body.highest_mm > CONTACT_TOL_MM
             if through and not body.may_cross_plane:
                 text = f"body {body.name!r} reaches {-body.lowest_mm:.6g} mm through the investigation plane"
