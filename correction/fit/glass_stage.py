@@ -6,13 +6,15 @@ scene shows them are looked for in between (`lost_sphere`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from correction.errors import GlassNotSeen
-from correction.fit.adjustment import feasible_scene
+from correction.fit.adjustment import CAUCHY_SIGMAS, OUTLIER, feasible_scene
 from correction.fit.judge.result import FitStep
 from correction.fit.progress import Progress
+from correction.fit.seen.edges_of_blocks import find_edges
 from correction.fit.seen.lost_sphere import find_lost_spheres, likely_places
 from correction.fit.seen.measurement import (
     FLOOR_PX,
@@ -22,6 +24,8 @@ from correction.fit.seen.measurement import (
 from correction.fit.seen.pairing import Candidates, candidates_of, pair
 from correction.fit.seen.prediction import MIN_VIEW_SQUARE_PX, expect, square_behind_px
 from correction.fit.seen.silhouettes import find_outlines, follow_outlines
+from correction.fit.solve.block_edges import edge_rates
+from correction.fit.solve.solver import minimise
 from correction.fit.solve.unknowns import Unknowns
 from correction.target.turned_frame import turn_between
 from tracer.bodies import Block
@@ -39,6 +43,7 @@ LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of 
 AGAIN, STAYS_MM = 6, 0.02  # times that a place is measured, while corners move the ball that stands there
 WORSE, OWN_WORSE = 1.2, 3.0  # times, that corners of others may fit worse than before, and its own than others
 FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
+SEARCH_PX, REFINE_PX = 80.0, 4.0  # how far edges of blocks are looked for, at first and again
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 
 
@@ -48,6 +53,7 @@ def find_glass(work: Progress) -> None:
     _follow_outlines(work)
     prefixes = [f"{sphere.name}." for sphere in work.unknowns.scene.spheres] + ["glass "]
     prefixes += [f"{body.name}." for body, _ in work.unknowns.other_bodies.bodies if not body.stays]
+    _find_edges(work, SEARCH_PX)
     unknowns = work.unknowns.around(work.full).only(prefixes)
     places = [f"{body.name}.{part}" for body in unknowns.scene.spheres for part in "xyz"]
     places += [
@@ -65,7 +71,30 @@ def find_glass(work: Progress) -> None:
     lost = _spheres_lost(work)
     if lost and (work.explained > MIN_PAIRED_SHARE or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
         _find_all_lost(work, unknowns, coarse, candidates)
-    _fit_glass(work, unknowns, "pass 2", only_behind=False)
+    _find_edges(work, REFINE_PX)
+    _fit_glass(work, replace(unknowns, edges=work.unknowns.edges), "pass 2", only_behind=False)
+
+
+def _find_edges(work: Progress, most_px: float) -> None:
+    """Put blocks where the frames show their edges, and keep these for the fits that follow."""
+    bare = {(frame.pose, frame.height_mm): frame for frame in reversed(work.bare_frames)}
+    pairs = [
+        (frame, bare[frame.pose, frame.height_mm])
+        for frame in work.glass_frames
+        if (frame.pose, frame.height_mm) in bare
+    ]
+    edges = find_edges(work.unknowns, work.full, pairs, most_px)
+    while edges:
+        names = sorted({edge.block for edge in edges})
+        unknowns = replace(work.unknowns, edges=edges)
+        own = unknowns.around(work.full).only([f"{name}." for name in names])
+        x = minimise(own, lambda _: [], own.free(work.full), knee=CAUCHY_SIGMAS).x
+        off = np.abs(edge_rates(own, x)[0])
+        if off.max() < OUTLIER:
+            work.full, work.unknowns = own.full(x), unknowns
+            work.note(FitStep(f"edges of {', '.join(names)}: {len(edges)} points of the outline"))
+            return
+        edges = tuple(np.delete(np.array(edges, dtype=object), int(np.argmax(off))))  # the edge of something else
 
 
 def _refuse_turned(work: Progress) -> None:

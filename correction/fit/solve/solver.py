@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.fit.solve.block_edges import edge_rates
 from correction.fit.solve.contact import CONTACT_ROUNDS, WALL_MM, push_apart, walls
 from correction.fit.solve.other_bodies import NUMBER_STEP
 from correction.fit.solve.unknowns import Unknowns, rotation_jacobian
@@ -299,6 +300,9 @@ def normal_equations(
         flat = (part.rate[seen] * root[:, None, None]).reshape(-1, free)
         gradient += flat.T @ (part.value[seen] * root[:, None]).ravel()
         normal += flat.T @ flat
+    if unknowns.edges:
+        off, by_free = edge_rates(unknowns, x)
+        cost, gradient, normal = cost + float(off @ off), gradient + by_free.T @ off, normal + by_free.T @ by_free
     for part in packing_residuals(unknowns, x):  # as priors are, Gaussian: few corners must not outvote them
         flat, gap = part.rate[:, 0], part.value[:, 0]
         cost, gradient, normal = cost + float(gap @ gap), gradient + flat.T @ gap, normal + flat.T @ flat

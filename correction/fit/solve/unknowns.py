@@ -30,6 +30,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from correction.fit.solve.block_edges import EdgePoint
 from correction.fit.solve.contact import carry_support, touching_pairs
 from correction.fit.solve.other_bodies import OtherBodies
 from tracer.bodies import Sphere
@@ -72,6 +73,8 @@ class Unknowns:
         Standard deviation of the gap between balls that touch in the nominal scene; None: nothing is known of it.
     poses : tuple of str
         Names of poses by hand; their numbers follow those of the heights.
+    edges : tuple of EdgePoint
+        Points of frames on edges of blocks.
     """
 
     scene: Scene
@@ -82,6 +85,7 @@ class Unknowns:
     columns: NDArray[np.float64]
     contact_mm: float | None = None
     poses: tuple[str, ...] = ()
+    edges: tuple[EdgePoint, ...] = ()
 
     @cached_property
     def blocks(self) -> dict[str, slice]:
