@@ -5,8 +5,8 @@ it something else.  Each side of the outline is found in two steps.  First the l
 
     t = a + b s,        s along the predicted side, t across it and inwards [px],
 
-from which on the two frames differ: the sum over all pixels inside it of min(z^2 / 2, MOST) - EVEN is largest, z
-the difference in sigmas of the noise.  Then the light G of the frame beside that line is fitted by
+from which on the two frames differ: the sum over all pixels inside it of min(z^2 / 2, MOST_GAIN) - EVEN_GAIN is
+largest, z the difference in sigmas of the noise.  Then the light G of the frame beside that line is fitted by
 
     G = B + F((t - a - b s) / w) (e - B),
 
@@ -33,16 +33,16 @@ from tracer.strategies.branches import DIRECT
 from tracer.strategies.trace import trace
 
 SEARCH_SIGMAS, LEAST_PX = 4.0, 4.0  # how far from its predicted place a side is looked for
-MOST, EVEN = 12.5, 2.0  # of z^2 / 2: one pixel counts no more; below this it is taken for undisturbed
+MOST_GAIN, EVEN_GAIN = 12.5, 2.0  # of z^2 / 2: one pixel counts no more; below this it is taken for undisturbed
 OUTSIDE_PX, INSIDE_PX, PIECE_PX = 6.0, 3.0, 6.0  # beside a line that is fitted, and pieces of one brightness
 MIN_LENGTH_PX, MIN_PIXELS = 30.0, 100  # of a side that can be fitted
 END_PX = 6.0  # left out at both ends of a side, beside what it may move
-NARROW_PX, NARROW_FLOOR_PX = 1.5, 0.3  # width of a ground edge as seen, below which the light of the face mixes in
+NARROW_PX, NARROW_EDGE_PX = 1.5, 0.3  # width of a ground edge as seen, below which the light of the face mixes in
 OTHER_EDGE_PX = 1.5  # another edge so near could be the one that is seen
-FLOOR_PX = 0.05  # ground edges are not straight, and pixels not even, to better
+EDGE_FLOOR_PX = 0.05  # ground edges are not straight, and pixels not even, to better
 LEAST_INSIDE_PX = 1.0
 NOISE_BINS = 6
-WIDEST_PX, NARROWEST_PX, FIRST_PX = 4.0, 0.3, 0.7  # blur
+WIDEST_BLUR_PX, NARROWEST_BLUR_PX, FIRST_BLUR_PX = 4.0, 0.3, 0.7  # blur
 MIN_STEP_SIGMAS = 10.0  # of the light at a side, from which it is seen
 
 
@@ -149,7 +149,7 @@ def _points_of(
     if found is None:
         return []
     places, sigma = found
-    sigma = float(np.hypot(sigma, FLOOR_PX if ground_px > NARROW_PX else NARROW_FLOOR_PX))
+    sigma = float(np.hypot(sigma, EDGE_FLOOR_PX if ground_px > NARROW_PX else NARROW_EDGE_PX))
     return [
         EdgePoint(block.name, ends, tuple((start + s * way + t * inward).tolist()), sigma * rad_per_px)
         for s, t in places
@@ -196,7 +196,7 @@ def _strip(
 def _coarse_line(strip: Strip, reach: float) -> tuple[float, float]:
     """Line a, b from which on inwards the frames differ."""
     z2 = 0.5 * ((strip.glass - strip.bare) / strip.sigma) ** 2
-    gain = np.minimum(z2, MOST) - EVEN
+    gain = np.minimum(z2, MOST_GAIN) - EVEN_GAIN
     middle = 0.5 * (strip.along.min() + strip.along.max())
     half = 0.5 * max(float(np.ptp(strip.along)), 1.0)
     pieces = np.clip(np.round((strip.along - middle) / PIECE_PX), -1e6, 1e6).astype(int)
@@ -245,9 +245,9 @@ def _fine_line(
             return np.asarray(rest - light[piece] * share)
 
         first, last = (line[0] + line[1] * (middle + sign * spread) for sign in (-1.0, 1.0))
-        box = ((first - 3.0, last - 3.0, NARROWEST_PX), (first + 3.0, last + 3.0, WIDEST_PX))
+        box = ((first - 3.0, last - 3.0, NARROWEST_BLUR_PX), (first + 3.0, last + 3.0, WIDEST_BLUR_PX))
         fit = scipy.optimize.least_squares(
-            residual, (first, last, FIRST_PX), bounds=box, loss="soft_l1", f_scale=3.0
+            residual, (first, last, FIRST_BLUR_PX), bounds=box, loss="soft_l1", f_scale=3.0
         )
         first, last, _ = fit.x
         line = (

@@ -19,7 +19,7 @@ from tracer.errors import SceneError
 if TYPE_CHECKING:
     from correction.fit.solve.unknowns import Unknowns
 
-STEP = 1e-3  # prior sigmas: the residuals are smooth over far more
+EDGE_STEP = 1e-3  # prior sigmas: the residuals are smooth over far more
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def edge_rates(unknowns: "Unknowns", x: NDArray[np.float64]) -> tuple[NDArray[np
         value = edge_values(unknowns, full)
         for number, column in enumerate(unknowns.columns.T):
             if column[unknowns.blocks["camera"]].any() or column[unknowns.others].any():
-                ahead, back = (edge_values(unknowns, full + by * column) for by in (STEP, -STEP))
-                rate[:, number] = (ahead - back) / (2.0 * STEP)
+                ahead, back = (edge_values(unknowns, full + by * column) for by in (EDGE_STEP, -EDGE_STEP))
+                rate[:, number] = (ahead - back) / (2.0 * EDGE_STEP)
     except SceneError:
         return np.zeros(len(unknowns.edges)), rate
     return value, rate

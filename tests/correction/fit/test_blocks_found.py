@@ -58,6 +58,8 @@ def test_a_block_is_found_by_the_board_behind_and_beside_it(kind: str, seed: int
         rms = np.sqrt(np.mean(error_px[chosen & seen] ** 2))
         print(kind, seed, what, f"{rms:.4f} px, {seen[chosen].mean():.3f} of {chosen.sum()} on their way")
         assert rms < 0.05
+    if kind == "box":  # its outline says where its side faces are
+        assert np.abs(error_px[through & seen]).max() < 0.1
     # ways by faces that show no corner, such as mirror images, are as far off as their sigma says
     off = np.abs(error_px[through & seen]) / (sigma_at(fit, pixels[through & seen], True) / pitch_mm)
     print(kind, seed, f"within 4 sigma {np.mean(off < 4.0):.3f}")
