@@ -21,6 +21,7 @@ from correction.fit.seen.measurement import (
     TargetFrame,
     glass_frame,
 )
+from correction.fit.seen.packing_place import FOUND, find_packing
 from correction.fit.seen.pairing import Candidates, candidates_of, pair
 from correction.fit.seen.prediction import MIN_VIEW_SQUARE_PX, expect, square_behind_px
 from correction.fit.seen.silhouettes import find_outlines, follow_outlines
@@ -50,7 +51,8 @@ UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline fr
 def find_glass(work: Progress) -> None:
     """Fit the glass to the corners seen through it, the camera held."""
     _refuse_turned(work)
-    _follow_outlines(work)
+    if not _move_packing(work):
+        _follow_outlines(work)
     prefixes = [f"{sphere.name}." for sphere in work.unknowns.scene.spheres] + ["glass "]
     prefixes += [f"{body.name}." for body, _ in work.unknowns.other_bodies.bodies if not body.stays]
     _find_edges(work, SEARCH_PX)
@@ -130,6 +132,30 @@ def _follow_outlines(work: Progress) -> None:
         depths = [f"{name}.z" for name in work.outlines.names]
         work.unknowns = work.unknowns.around(start).loosen(depths, STRAY_DEPTH_SIGMA_MM)
         work.note(FitStep(f"{work.outlines.in_words(ASIDE_MM)}; glass follows"))
+
+
+def _move_packing(work: Progress) -> bool:
+    """Put a packing where the first frame shows it as a whole; return whether it was found."""
+    unknowns = work.unknowns.around(work.full)
+    if not unknowns.packing:
+        return False
+    known_mm = work.priors.spheres.centre_mm
+    candidates = _candidates(work, unknowns, work.glass_frames[0])
+    found, work.explained = find_packing(unknowns, candidates, work.board, work.pitch_mm, known_mm)
+    if work.explained < FOUND:
+        return False
+    move = (found - work.full)[work.unknowns.glass].reshape(-1, len(SPHERE))[:, :3]
+    work.full = found
+    if np.linalg.norm(move, axis=1).max() > known_mm:
+        start = work.unknowns.start.copy()
+        for part in (work.unknowns.glass, work.unknowns.others):
+            start[part] = found[part]
+        work.unknowns = work.unknowns.around(start)
+        x, y, z = move.mean(axis=0).tolist()
+        work.note(
+            FitStep(f"the packing stands x {x:+.1f}, y {y:+.1f}, z {z:+.1f} mm from its place; glass follows")
+        )
+    return True
 
 
 def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candidates:
