@@ -106,8 +106,10 @@ def find_packing(
         raster = [np.linspace(-REACH, REACH, 2 * int(np.ceil(REACH / stride)) + 1) for stride in strides]
         places = [np.array((*place, 0.0, 0.0, 0.0)) for place in product(*raster)]
         costs = [_cost(rigid, place, some, board, pitch_mm) for place in places]
-        tried = [refine(places[one]) for one in np.argsort(costs)[:REFINED]]
-        best = max(best, *tried, key=lambda one: one.inliers)
+        for one in np.argsort(costs)[:REFINED]:
+            best = max(best, refine(places[one]), key=lambda start: start.inliers)
+            if best.share >= FOUND:
+                break
     return rigid.full(best.solution.x), best.share
 
 

@@ -41,8 +41,10 @@ LOST = 12.0  # [residual units] what a ray that lands nowhere costs
 MAX_LM_STEPS = 40
 
 
-def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Depth (K,) [mm] of each ball in each wall, negative for a gap, and derivatives (K, F) by the full vector."""
+def room_depths(
+    unknowns: Unknowns, full: NDArray[np.float64], asked: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Depth (K,) [mm] of each ball in each wall, negative for a gap, and derivatives (K, F) where `asked` (F,)."""
     sides = unknowns.other_bodies.sides
     depth, rate = np.full(len(sides), -FAR_MM), np.zeros((len(sides), len(full)))
     if not sides:
@@ -59,10 +61,11 @@ def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[
             continue
         depth[number] = -gap
         place = unknowns.glass.start + len(SPHERE) * pair.ball
-        rate[number, place : place + 3] = -pair.way_in(table, walls)
+        if asked[place : place + 3].any():
+            rate[number, place : place + 3] = -pair.way_in(table, walls)
         rate[number, place + 3] = 1.0
         for at, name in enumerate(unknowns.other_bodies.names, start=first):
-            if name.startswith(f"{pair.wall.name}."):
+            if asked[at] and name.startswith(f"{pair.wall.name}."):
                 if at not in moved:
                     moved[at] = (
                         _change_walls(unknowns, full, at, NUMBER_STEP),
@@ -306,24 +309,27 @@ def normal_equations(
     for part in packing_residuals(unknowns, x):  # as priors are, Gaussian: few corners must not outvote them
         flat, gap = part.rate[:, 0], part.value[:, 0]
         cost, gradient, normal = cost + float(gap @ gap), gradient + flat.T @ gap, normal + flat.T @ flat
-    depth, _ = _walls(unknowns, x)
+    full = unknowns.full(x)
+    depth = contacts(unknowns, full, np.zeros(len(full), np.bool_))[0] / WALL_MM
     return cost + float(np.sum(np.maximum(depth, 0.0) ** 2)), gradient, normal
 
 
-def contacts(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def contacts(
+    unknowns: Unknowns, full: NDArray[np.float64], asked: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth (K,) [mm] of each ball in the plane, in each other ball and in each wall, negative for a gap.
 
     Returns
     -------
     depth_mm : (K,) float64
     rate : (K, F) float64
-        Derivatives by the full vector.
+        Derivatives by the full vector; of walls, by what is `asked` of it (F,) alone.
     """
     depth, by_ball, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
     rate = np.zeros((len(depth), len(full)))
     rate[:, unknowns.glass] = by_ball.reshape(len(depth), by_ball.shape[1] * by_ball.shape[2])
     rate[:, unknowns.all_shapes] = by_shape
-    of_rooms, room_rate = room_depths(unknowns, full)
+    of_rooms, room_rate = room_depths(unknowns, full, np.ones(len(full), np.bool_) if asked is None else asked)
     return np.concatenate((depth, of_rooms)), np.concatenate((rate, room_rate))
 
 
@@ -331,10 +337,11 @@ def packing_residuals(unknowns: Unknowns, x: NDArray[np.float64]) -> list[Residu
     """Residuals (K, 1) of the K contacts that are known, in units of `contact_mm`; [] if none is."""
     if unknowns.contact_mm is None or not unknowns.packing:
         return []
-    rows = list(unknowns.packing)
-    depth, rate = contacts(unknowns, unknowns.full(x))
-    by_free = rate[rows] @ unknowns.columns
-    return [Residuals(depth[rows, None] / unknowns.contact_mm, by_free[:, None, :] / unknowns.contact_mm)]
+    rows, full = list(unknowns.packing), unknowns.full(x)
+    depth, by_ball, by_shape = (part[rows] for part in walls(unknowns.spheres(full), unknowns.shapes(full)))
+    by_free = by_ball.reshape(len(rows), -1) @ unknowns.columns[unknowns.glass]
+    by_free = by_free + by_shape @ unknowns.columns[unknowns.all_shapes]
+    return [Residuals(depth[:, None] / unknowns.contact_mm, by_free[:, None, :] / unknowns.contact_mm)]
 
 
 def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -345,7 +352,7 @@ def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.flo
 
 def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P) by the free vector."""
-    depth, rate = contacts(unknowns, unknowns.full(x))
+    depth, rate = contacts(unknowns, unknowns.full(x), np.asarray(unknowns.columns.any(axis=1)))
     return depth / WALL_MM, rate @ unknowns.columns / WALL_MM
 
 
