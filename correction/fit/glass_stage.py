@@ -21,7 +21,7 @@ from correction.fit.seen.measurement import (
     TargetFrame,
     glass_frame,
 )
-from correction.fit.seen.packing_place import FOUND, find_packing
+from correction.fit.seen.packing_place import PACKING_FOUND, PACKING_REACH, find_packing
 from correction.fit.seen.pairing import Candidates, candidates_of, pair
 from correction.fit.seen.prediction import MIN_VIEW_SQUARE_PX, expect, square_behind_px
 from correction.fit.seen.silhouettes import find_outlines, follow_outlines
@@ -142,7 +142,11 @@ def _move_packing(work: Progress) -> bool:
     known_mm = work.priors.spheres.centre_mm
     candidates = _candidates(work, unknowns, work.glass_frames[0])
     found, work.explained = find_packing(unknowns, candidates, work.board, work.pitch_mm, known_mm)
-    if work.explained < FOUND:
+    if work.explained < PACKING_FOUND:
+        work.unplaced = (
+            f"the packing was not found within {PACKING_REACH * known_mm:g} mm of its place in the scene file:"
+            " correct that, or give a larger centre_mm under spheres of the fit section"
+        )
         return False
     move = (found - work.full)[work.unknowns.glass].reshape(-1, len(SPHERE))[:, :3]
     work.full = found

@@ -57,6 +57,7 @@ class Progress:
         self.dispersion: Dispersion | None = None
         self.outlines: Outlines | None = None
         self.explained = 0.0
+        self.unplaced = ""
         self.others: list[NDArray[np.float64]] = []
         self.found_saddles: dict[str, Saddles] = {}
         for warning in map(_saturation_warning, frames):

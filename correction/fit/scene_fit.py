@@ -86,7 +86,7 @@ def fit_scene(
         try:
             find_glass(work)
         except GlassNotSeen as missing:  # a board of another size is seen elsewhere than the scene shows it
-            words = files_exchanged(work), size_told(work), _balls_in_words(work)
+            words = files_exchanged(work), size_told(work), _balls_in_words(work), work.unplaced
             raise GlassNotSeen("; ".join(filter(None, words)) or str(missing)) from None
     fit = _compare_frames_with_model(work, _estimate(work))
     say(str(fit.history[-1]))
@@ -169,7 +169,9 @@ def _place_sigma_mm(fit: SceneFit, height_number: int, pixels: NDArray[np.float6
 def _diagnose_failure(work: Progress, reason: str) -> str:
     """Say how large the bare board is seen, and what rims and views of the balls show, then why the fit failed."""
     seen = work.outlines.in_words(0.0) if work.outlines else ""
-    return "; ".join(each for each in (size_told(work), _balls_in_words(work), seen, reason) if each)
+    return "; ".join(
+        each for each in (size_told(work), _balls_in_words(work), work.unplaced, seen, reason) if each
+    )
 
 
 def _balls_in_words(work: Progress) -> str:

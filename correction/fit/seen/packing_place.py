@@ -14,22 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.seen.pairing import Candidates, Start, distances, pair_from
+from correction.fit.solve.other_bodies import NUMBER_STEP
 from correction.fit.solve.solver import LOST
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
 from tracer.bodies import Body
 from tracer.strategies.sensitivity import SPHERE
 
-TURN_RAD = 0.01  # standard deviation of the turn of a packing about each axis: 1 mm over 100 mm
-REACH = 3.0  # sigmas of the place of a ball by which its packing is looked for
-STRIDE, STRIDE_Z = 0.2, 0.8  # of the raster sideways and along z, in squares
-KNEE_PX = 4.0  # of the loss in the raster, corrected px
-COMPARED = 400  # saddles at most for which places are compared
-REFINED = 6  # places of the raster that are refined
-FOUND = (
-    0.4  # share of saddles explained by a packing that is found: right ones 0.56 to 0.93, wrong ones up to 0.26
-)
-NUMBER_STEP = 1e-4
+PACKING_TURN_RAD = 0.01  # standard deviation of the turn of a packing about each axis: 1 mm over 100 mm
+PACKING_REACH = 3.0  # sigmas of the place of a ball by which its packing is looked for
+PACKING_STRIDES = np.array((0.2, 0.2, 0.8))  # of the raster along x, y, z, in squares
+PACKING_KNEE_PX = 4.0  # of the loss in the raster, corrected px
+COMPARED_SADDLES = 400  # saddles at most for which places are compared
+REFINED_PLACES = 6  # places of the raster that are refined
+PACKING_FOUND = 0.4  # share of saddles that a found packing explains: right ones 0.56 to 0.93, wrong ones to 0.26
 
 
 def rigid_motion(unknowns: Unknowns, sigma_mm: float) -> Unknowns:
@@ -41,8 +39,10 @@ def rigid_motion(unknowns: Unknowns, sigma_mm: float) -> Unknowns:
     for place in range(6):
         axis = np.eye(3)[place % 3]
 
-        def move(point: NDArray[np.float64], axis: NDArray[np.float64] = axis, turns: bool = place > 2) -> Move:
-            return TURN_RAD * np.cross(axis, point - middle) if turns else sigma_mm * axis
+        def move(
+            point: NDArray[np.float64], axis: NDArray[np.float64] = axis, turns: bool = place > 2
+        ) -> NDArray[np.float64]:
+            return PACKING_TURN_RAD * np.cross(axis, point - middle) if turns else sigma_mm * axis
 
         for ball in balls:
             row = unknowns.glass.start + len(SPHERE) * ball
@@ -56,11 +56,11 @@ def rigid_motion(unknowns: Unknowns, sigma_mm: float) -> Unknowns:
     return replace(unknowns, names=names, columns=columns)
 
 
-Move = NDArray[np.float64]
-
-
 def _numbers_moved(
-    body: Body, values: NDArray[np.float64], wavelength_nm: float, move: Callable[[NDArray[np.float64]], Move]
+    body: Body,
+    values: NDArray[np.float64],
+    wavelength_nm: float,
+    move: Callable[[NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
     """Change (K,) of the numbers of a body that moves both ends of its axis most nearly as asked."""
 
@@ -94,21 +94,24 @@ def find_packing(
     rigid = rigid_motion(unknowns, sigma_mm)
     some = candidates.take(~candidates.bare)
     chosen = np.zeros(len(some.pixel), np.bool_)
-    chosen[:: max(len(chosen) // COMPARED, 1)] = True
+    chosen[:: max(len(chosen) // COMPARED_SADDLES, 1)] = True
     some = some.take(chosen)
 
     def refine(x: NDArray[np.float64]) -> Start:
         return pair_from(rigid, x, [some], board, pitch_mm)
 
     best = refine(np.zeros(6))
-    if best.share < FOUND:
-        strides = board.square_mm / sigma_mm * np.array((STRIDE, STRIDE, STRIDE_Z))
-        raster = [np.linspace(-REACH, REACH, 2 * int(np.ceil(REACH / stride)) + 1) for stride in strides]
+    if best.share < PACKING_FOUND:
+        strides = PACKING_STRIDES * board.square_mm / sigma_mm
+        raster = [
+            np.linspace(-PACKING_REACH, PACKING_REACH, 2 * int(np.ceil(PACKING_REACH / stride)) + 1)
+            for stride in strides
+        ]
         places = [np.array((*place, 0.0, 0.0, 0.0)) for place in product(*raster)]
         costs = [_cost(rigid, place, some, board, pitch_mm) for place in places]
-        for one in np.argsort(costs)[:REFINED]:
+        for one in np.argsort(costs)[:REFINED_PLACES]:
             best = max(best, refine(places[one]), key=lambda start: start.inliers)
-            if best.share >= FOUND:
+            if best.share >= PACKING_FOUND:
                 break
     return rigid.full(best.solution.x), best.share
 
@@ -119,4 +122,4 @@ def _cost(
     """Cauchy loss of the candidates at a place; what lands nowhere costs as if it lay LOST beside its corner."""
     off, *_ = distances(unknowns, unknowns.full(x), candidates, board, pitch_mm)
     square = (off**2).sum(axis=1)
-    return float(np.log1p(np.where(np.isfinite(square), square, LOST**2) / KNEE_PX**2).sum())
+    return float(np.log1p(np.where(np.isfinite(square), square, LOST**2) / PACKING_KNEE_PX**2).sum())
