@@ -53,7 +53,9 @@ def moved(scene: Scene, shift_mm: tuple[float, ...], turn_mrad: tuple[float, ...
     ("seed", "shift_mm", "turn_mrad"),
     [(3, (1.2, 0.0, 0.0), (0.0, 0.0, 0.0)), (4, (-2.0, 2.0, 1.5), (4.0, -4.0, 8.0))],
 )
-def test_a_tube_is_calibrated_from_a_file_that_has_it_elsewhere(seed, shift_mm, turn_mrad):
+def test_a_tube_is_calibrated_from_a_file_that_has_it_elsewhere(
+    seed: int, shift_mm: tuple[float, ...], turn_mrad: tuple[float, ...]
+) -> None:
     truth, frames = photographed(seed)
     fit = fit_scene(moved(tube(), shift_mm, turn_mrad), frames, Chessboard(SIDE_MM, 0.4 * SIDE_MM), TOUCHING)
     off = np.subtract([ball.centre_mm for ball in fit.scene.spheres], [ball.centre_mm for ball in truth.spheres])
@@ -61,7 +63,7 @@ def test_a_tube_is_calibrated_from_a_file_that_has_it_elsewhere(seed, shift_mm, 
     assert np.sqrt(np.mean(off[:, 2] ** 2)) < 0.1
 
 
-def test_a_rigid_motion_takes_balls_and_tube_along():
+def test_a_rigid_motion_takes_balls_and_tube_along() -> None:
     """Against a rotation matrix; the tube along its own axis is where it was, which no ray shows."""
     scene = tube()
     unknowns = unknowns_of(scene, [0.0], TOUCHING)
