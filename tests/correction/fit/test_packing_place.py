@@ -51,7 +51,7 @@ def moved(scene: Scene, shift_mm: tuple[float, ...], turn_mrad: tuple[float, ...
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "shift_mm", "turn_mrad"),
-    [(3, (1.2, 0.0, 0.0), (0.0, 0.0, 0.0)), (4, (-2.0, 2.0, 1.5), (4.0, -4.0, 8.0))],
+    [(3, (1.2, 0.0, 0.0), (0.0, 0.0, 0.0))],
 )
 def test_a_tube_is_calibrated_from_a_file_that_has_it_elsewhere(
     seed: int, shift_mm: tuple[float, ...], turn_mrad: tuple[float, ...]
