@@ -16,17 +16,22 @@ from math import gcd
 from statistics import median
 
 MARKS = {"a": "b", "A": "B", "first": "second", "First": "Second", "FIRST": "SECOND", "I": "II"}
-MARKS |= {"before": "after", "Before": "After"}
+for _one, _other in (("before", "after"), ("start", "end"), ("begin", "end"), ("one", "two"), ("ref", "def")):
+    MARKS |= {_one: _other, _one.capitalize(): _other.capitalize(), _one.upper(): _other.upper()}
 FRAME_WORD = re.compile(r"(?:f|fr|frame|frm|im|img|image|pic|l|las|laser|p|pulse|e|exp|expo|exposure|t|shot)?")
 OTHER_WORD = re.compile(
     r"c|cam|camera|r|rep|repeat|run|set|case|test|[xyz]|pos|position|plane|phase|view|ch|channel|day|probe"
 )
+SIDE_WORD = re.compile(r"l|r|left|right|top|bottom|front|rear|back")
 LEAST_PAIRED = 0.5  # of the frames of a scheme: others have lost their partner
 FEW_STRAYS = 0.2  # of all frames of a folder at most, such as frames of the target
 MARK_DIGITS = 2  # of a number that tells first from second frame at most; a longer one counts
 JITTER = 0.2  # of the usual time between frames, in names that are times
 APART = 3  # times as long between pairs as within them, at least, where the gaps between numbers say it
-_NUMBER = re.compile(r"\d+(?:\.\d+(?![\d.]))?")
+# With a decimal point, comma or p, and an exponent; + or - is a sign behind _ or = (t_-0012)
+_NUMBER = re.compile(r"(?:(?<=[_=])[+-])?\d+(?:[.,p]\d+(?![\d.,p]))?(?:[eE][+-]\d\d?(?!\d))?")
+_DECIMAL = re.compile(r"([+-]?\d+)[.,p](\d+)(.*)")
+_SIGNED = re.compile(r"[+-]#")
 _DIGITS = re.compile(r"\d+")
 _LETTERS = re.compile(r"[^\W\d_]+")
 
@@ -157,12 +162,9 @@ def _counting(runs: Sequence[re.Match[str]]) -> int:
 
 def sequences_of(names: Collection[str]) -> list[dict[Fraction, str]]:
     """Sort names without marks into sequences, by the number or time in them; one for each camera or run."""
-    groups: dict[str, list[str]] = defaultdict(list)
-    for name in sorted(names, key=natural):
-        groups[_NUMBER.sub("#", _with_small_ending(name))].append(name)
     found: list[dict[Fraction, str]] = []
-    for group in groups.values():
-        texts = [_NUMBER.findall(name.rpartition(".")[0]) for name in group]
+    for group, number in _groups_of(names):
+        texts = [number.findall(name.rpartition(".")[0]) for name in group]
         if not texts[0]:
             continue
         varying = [k for k in range(len(texts[0])) if len({each[k] for each in texts}) > 1]
@@ -171,14 +173,47 @@ def sequences_of(names: Collection[str]) -> list[dict[Fraction, str]]:
             counting = max(varying, key=lambda k: (counts[k], k))
             parts: dict[tuple[str, ...], dict[Fraction, str]] = defaultdict(dict)
             for name, each in zip(group, texts, strict=True):
-                parts[(*each[:counting], *each[counting + 1 :])][Fraction(each[counting])] = name
+                parts[(*each[:counting], *each[counting + 1 :])][_value_of(each[counting])] = name
             found += parts.values()
         elif len(varying) > 1:  # a date and a time: their order counts
             found.append({Fraction(k): name for k, name in enumerate(group, 1)})
         else:
             last = varying[0] if varying else len(texts[0]) - 1
-            found.append({Fraction(each[last]): name for name, each in zip(group, texts, strict=True)})
+            found.append({_value_of(each[last]): name for name, each in zip(group, texts, strict=True)})
     return found
+
+
+def _groups_of(names: Collection[str]) -> Iterator[tuple[list[str], re.Pattern[str]]]:
+    """Names that differ by numbers alone, in natural order, with the pattern of their numbers."""
+    groups: dict[str, list[str]] = defaultdict(list)
+    for name in sorted(names, key=natural):
+        stem, _, ending = name.rpartition(".")
+        groups[f"{_NUMBER.sub('#', stem)}.{ending.lower()}"].append(name)
+    alike: dict[str, list[str]] = defaultdict(list)  # frames before a trigger have a minus, those behind it none
+    for key in groups:
+        alike[_SIGNED.sub("#", key)].append(key)
+    for keys in alike.values():
+        if len(keys) > 1 and any("-#" in key for key in keys):
+            both = [name for key in keys for name in groups.pop(key)]
+            yield both, re.compile(f"[+-]?{_NUMBER.pattern}")
+    for group in groups.values():
+        texts = [text for name in group for text in _NUMBER.findall(name.rpartition(".")[0])]
+        fractions = [found[2] for text in texts if (found := _DECIMAL.match(text))]
+        counts = len({len(text) for text in fractions}) > 1 and any(text.endswith("0") for text in fractions)
+        yield group, _DIGITS if counts else _NUMBER  # run3.9 and run3.10 count; 0.9 and 0.15 do not
+
+
+def _value_of(text: str) -> Fraction:
+    return Fraction(_DECIMAL.sub(r"\1.\2\3", text))
+
+
+def differ_by_camera(one: str, other: str) -> bool:
+    """Return whether two patterns differ by a camera, run, plane or side, not by first and second frame."""
+    place = next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), 0)
+    words = [match for match in _LETTERS.finditer(one) if match.start() <= place < match.end()]
+    start = words[0].start() if words else place
+    is_other = any(OTHER_WORD.fullmatch(_word_before(one, at)) for at in (start, place))
+    return is_other or bool(words and SIDE_WORD.fullmatch(words[0][0].lower()))
 
 
 def number_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:

@@ -9,7 +9,8 @@ few of another name, such as frames of the target.
 """
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from pathlib import Path
 from daq.frames.name_schemes import (
     FEW_STRAYS,
     Scheme,
+    differ_by_camera,
     natural,
     number_from_1,
     pattern_of,
@@ -33,6 +35,7 @@ _WILD = re.compile(r"%0?(\d*)d|\*")
 WITH = "@@"  # between the patterns of first and second frames
 MOST_NAMED = 4  # patterns in a message
 MOST_NUMBER = 10**9  # of a pair; larger ones are times
+MOST_LONE = 4  # frames of a name of their own that are set aside, such as a mask and a dark frame
 LISTED = 3  # pairs that are named before anything is computed
 
 
@@ -132,6 +135,8 @@ class NumberedFiles(FoundFiles):
 class PatternPair(FoundFiles):
     """Files in pairs by a pattern for each of both: what stands for ``*`` or ``%05d`` is the same in both names.
 
+    Numbers of second frames may also be larger or smaller by one amount, without gaps: A0001 with B1001.
+
     Parameters
     ----------
     path : Path
@@ -152,16 +157,18 @@ class PatternPair(FoundFiles):
             if not NumberedFiles.takes(pattern):
                 raise PairError(f"{pattern}: a pattern has one %d, %05d or * in the name of a frame, in quotes")
         firsts, seconds = matches(first), matches(second)
-        both = sorted(firsts.keys() & seconds.keys(), key=natural)
+        both = [(text, text) for text in sorted(firsts.keys() & seconds.keys(), key=natural)]
+        if not both and are_offset(firsts, seconds):
+            both = list(zip(sorted(firsts, key=natural), sorted(seconds, key=natural), strict=True))
         if not both:
             raise PairError(
                 f"{first}: {len(firsts)} files have such a name, and {len(seconds)} that of {second}; no two have"
-                " the same text in place of the number"
+                " the same text in place of the number, and numbers do not differ by the same amount"
             )
-        numbers = _numbers_of([firsts[text] for text in both])
+        numbers = _numbers_of([firsts[text] for text, _ in both])
         self._pairs = [
-            (number, first.parent / firsts[text], second.parent / seconds[text])
-            for number, text in zip(numbers, both, strict=True)
+            (number, first.parent / firsts[one], second.parent / seconds[other])
+            for number, (one, other) in zip(numbers, both, strict=True)
         ]
         self._unpaired = len(firsts) + len(seconds) - 2 * len(both)
 
@@ -188,8 +195,10 @@ class FrameFolder(FoundFiles):
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         names = frames_in(path)
         schemes, few = schemes_of(names), FEW_STRAYS * len(names)
-        covering = [scheme for scheme in schemes if len(names) - len(scheme.names) <= few]
-        firsts = [first for first, _ in covering[0].pairs] if len(covering) == 1 else []
+        covering = [scheme for scheme in schemes if len(_others_of(scheme, names)) <= few]
+        in_others = {name for scheme in schemes if scheme not in covering for name in scheme.names}
+        is_unique = len(covering) == 1 and len(names - in_others) > few
+        firsts = [first for first, _ in covering[0].pairs] if is_unique else []
         if len(firsts) == 1 or len(sequences_of(firsts)) == 1:
             (scheme,) = covering
             if pairing is not NEIGHBOURS:
@@ -270,21 +279,61 @@ def _one_sequence(folder: Path, found: list[dict[Fraction, str]], few: float = 0
     if not found:
         raise PairError(f"{folder}: holds no numbered frames")
     longest = max(found, key=len)
+    lone = [each for each in found if len(each) == 1 < len(longest)]
+    if len(lone) <= MOST_LONE:
+        found = [each for each in found if each not in lone]
     if sum(map(len, found)) - len(longest) > few:
-        some = ", ".join(sorted({_quote(folder / pattern_of(list(each.values()))) for each in found})[:MOST_NAMED])
-        raise PairError(f"{folder}: its frames are of several series; name one of them, in quotes: {some}")
+        series = sorted((pattern_of(list(each.values())) for each in found if each not in lone), key=natural)
+        some = ", ".join(dict.fromkeys(_quote(folder / each) for each in series[:MOST_NAMED]))
+        pairs = [_with_second(folder, *series)] if are_first_and_second(found, series) else []
+        more = "".join(f"; or, for first and second frames of pairs: {each}" for each in pairs)
+        raise PairError(f"{folder}: its frames are of several series; name one of them, in quotes: {some}{more}")
     return longest
+
+
+def _others_of(scheme: Scheme, names: set[str]) -> set[str]:
+    """Return the frames of other series; a few lone ones, such as a mask, are none unless named like exposures."""
+    others = names - scheme.names
+    kinds = Counter(map(skeleton, others))
+    exposures = [name for pair in scheme.pairs for name in pair]
+    lone = {
+        name
+        for name in others
+        if kinds[skeleton(name)] == 1
+        and not any(
+            len(name) == len(each) and sum(map(str.__ne__, name, each)) == 1  # frame_c beside frame_a, frame_b
+            for each in exposures
+        )
+    }
+    return others - lone if len(lone) <= MOST_LONE else others
+
+
+def are_first_and_second(found: Sequence[Mapping[Fraction, str]], patterns: Sequence[str]) -> bool:
+    """Return whether two series may be the first and the second frames of pairs."""
+    return (
+        len(found) == 2
+        and are_offset(*({str(number): name for number, name in each.items()} for each in found))
+        and Path(patterns[0]).suffix == Path(patterns[1]).suffix
+        and not differ_by_camera(patterns[0], patterns[1])
+    )
+
+
+def are_offset(firsts: Mapping[str, str], seconds: Mapping[str, str]) -> bool:
+    """Return whether two series have equally many numbers, which differ by one amount; 0 included."""
+    if len(firsts) != len(seconds) or not all(text.isdecimal() for text in (*firsts, *seconds)):
+        return False
+    numbers = [sorted(map(int, texts)) for texts in (firsts, seconds)]
+    return len({b - a for a, b in zip(*numbers, strict=True)}) == 1
 
 
 def _several(folder: Path, names: set[str], schemes: Sequence[Scheme]) -> str:
     """Say which series there are, each by the words that choose it."""
     ways = []
     for scheme in sorted(schemes, key=lambda scheme: (scheme.mark_at, scheme.first)):
-        for part in sequences_of([first for first, _ in scheme.pairs]):
+        firsts = [first for first, _ in scheme.pairs]
+        for part in sequences_of(firsts) or [{Fraction(0): firsts[0]}]:
             pairs = [pair for pair in scheme.pairs if pair[0] in set(part.values())]
-            first, second = (pattern_of(each) for each in zip(*pairs, strict=True))
-            where = folder / second if "/" in second else Path(second)
-            ways.append(f"{_quote(folder / first)} --second {_quote(where)}")
+            ways.append(_with_second(folder, *(pattern_of(each) for each in zip(*pairs, strict=True))))
     rest = sequences_of(names - frozenset().union(*(scheme.names for scheme in schemes)))
     ways += [_quote(folder / pattern_of(list(each.values()))) for each in rest if len(each) > 1]
     more = "  ..." if len(ways) > MOST_NAMED else ""
@@ -292,6 +341,14 @@ def _several(folder: Path, names: set[str], schemes: Sequence[Scheme]) -> str:
         f"{folder}: its frames are of several series, or can be paired in several ways; in place of the folder"
         f" give one of these, with its quotes: {'  or  '.join(ways[:MOST_NAMED])}{more}"
     )
+
+
+def _with_second(folder: Path, first: str, second: str) -> str:
+    """Return the words that choose pairs by a pattern of each frame, or by both names if these have no number."""
+    where = folder / second if "/" in second else Path(second)
+    if not _WILD.search(first):
+        return f"{_quote(folder / first)} {_quote(folder / second)}"
+    return f"{_quote(folder / first)} --second {_quote(where)}"
 
 
 def _quote(path: Path) -> str:

@@ -70,6 +70,18 @@ SCHEMES = {
     "a stray target": (sequence("im{:04d}.tif", range(12)), ["target_01.tif", "notes.txt"]),
     "a stray mask in pairs": (pairs_by("B{:05d}_a.tif", "B{:05d}_b.tif", range(12)), ["mask2.png", ".DS_Store"]),
     "per cent and d": (pairs_by("50 %d {:03d}_a.tif", "50 %d {:03d}_b.tif"), []),
+    "high-speed camera, trigger in the middle": (sequence("jet{:+06d}.tif", range(-4, 4)), []),
+    "the same with a minus alone": (sequence("jet{:d}.tif", range(-6, 2)), []),
+    "all before the trigger": (sequence("Cam_{:07d}.tif", range(-8, 0)), []),
+    "decimal comma": (sequence("t={}s.tif", ["0,1", "0,15", "0,2", "0,25", "0,3", "0,35", "0,4", "0,45"]), []),
+    "p for a point": (sequence("t{}.png", ["0p1", "0p15", "0p2", "0p25", "0p3", "0p35"]), []),
+    "exponents": (sequence("t_{:.1e}.tif", [k * 2e-4 for k in range(1, 9)]), []),
+    "numbers with points": (sequence("run3.{:d}.tif", range(3, 13)), []),
+    "a mask beside one pair": ([("bubblesA.png", "bubblesB.png")], ["bubblesMask.png"]),
+    "mask and dark frame beside one": ([("t23_1.tif", "t23_2.tif")], ["mask.tif", "dark_5.tif", "scale.jpg"]),
+    "copies by a file manager": (sequence("im{:03d}.tif", range(6)), ["im003 - Copy.tif", "im002 (1).tif"]),
+    "start and end": (pairs_by("{:03d}_start.tif", "{:03d}_end.tif"), []),
+    "one and two": (pairs_by("Laser_One_{:04d}.tif", "Laser_Two_{:04d}.tif"), []),
     "other letters": (pairs_by("Strömung_{:03d}_1.tif", "Strömung_{:03d}_2.tif"), []),
 }  # fmt: skip
 
@@ -112,7 +124,14 @@ SEVERAL = {
     "two runs": pairs_by("run1_{:04d}.tif", "run2_{:04d}.tif"),
     "planes": pairs_by("z1_{:04d}.tif", "z2_{:04d}.tif"),
 }
+BY_NUMBER = {
+    "numbers apart": [(f"Pattern_{k:04d}_A.tif", f"Pattern_{k + 1000:04d}_B.tif") for k in N],
+    "one behind the other": [(f"im{2 * k:03d}a.tif", f"im{2 * k + 1:03d}b.tif") for k in N],
+    "ordinals": pairs_by("{:03d}_1st.tif", "{:03d}_2nd.tif"),
+    "words of no list": pairs_by("{:03d}_davor.tif", "{:03d}_nachher.tif"),
+}
 ALL_WAYS = {
+    "one pair of each case": ([("A001_1.tif", "A001_2.tif")], [("B001_1.tif", "B001_2.tif")]),
     "two series": (pairs_by("jet_{:03d}_a.tif", "jet_{:03d}_b.tif"), pairs_by("w_{:03d}_a.tif", "w_{:03d}_b.tif")),
     "cases A and B": (pairs_by("A{:03d}_1.tif", "A{:03d}_2.tif"), pairs_by("B{:03d}_1.tif", "B{:03d}_2.tif")),
     "two cameras in pairs": (
@@ -139,8 +158,19 @@ def test_advice_of_a_refusal_followed_literally_gives_the_right_pairs(tmp_path):
         folder = lay(tmp_path / name, [pair for pairs in series for pair in pairs])
         with pytest.raises(PairError, match="several") as refused:
             source_of(folder)
-        found = [found_in(Path(WITH.join((first, second))), folder) for first, _, second in ways_of(refused.value)]
-        assert found[:2] == list(series), name
+        ways = ways_of(refused.value)
+        found = [found_in(Path(WITH.join((first, second))), folder) for first, _, second in ways[: len(series)]]
+        assert found == list(series), name
+    for name, pairs in BY_NUMBER.items():
+        folder = lay(tmp_path / name, pairs)
+        with pytest.raises(PairError, match="first and second frames of pairs") as refused:
+            source_of(folder)
+        first, _, second = ways_of(refused.value)[-1]
+        assert found_in(Path(WITH.join((first, second))), folder) == pairs, name
+    folder = lay(tmp_path / "four exposures", [("a.tif", "b.tif"), ("c.tif", "d.tif")])
+    with pytest.raises(PairError, match="several") as refused:
+        source_of(folder)
+    assert [[Path(word).name for word in way] for way in ways_of(refused.value)] == [["a.tif"], ["b.tif"]]
 
 
 def test_a_pattern_of_first_frames_has_their_partners(tmp_path):
