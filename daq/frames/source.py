@@ -12,6 +12,7 @@ Frames that follow each other are in pairs as is said behind the name, or 1 and 
 A kind of source is one class that has what `FrameSource` asks for, and one line in `KINDS`.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import Protocol
 
 from daq.frames.pairing import FramePlaces, Pairing, pairing_of
 from piv.errors import PairError
+from piv.files.frame_file import FRAME_ENDINGS
 
 KINDS = (  # the first that takes a name
     "daq.frames.double_frames:DoubleFrames",
@@ -76,7 +78,30 @@ def source_of(path: Path) -> FrameSource:
             if not found.pairs():
                 raise PairError(f"{path}: holds no pair of frames")
             return found
-    raise PairError(f"{path}: is neither a run nor frames in pairs; see docs/campaigns.md for what can be read")
+    raise PairError(f"{path}: is neither a run nor frames in pairs: {no_source_reason(name)}")
+
+
+def no_source_reason(path: Path) -> str:
+    """Return why a name is none of frames in pairs, and what to give instead."""
+    kinds = ", ".join(FRAME_ENDINGS)
+    if not path.exists():
+        return 'it does not exist; a pattern needs quotes and an ending of frames, such as "im*.tif"'
+    if path.is_file():
+        if path.suffix.lower() in FRAME_ENDINGS:
+            return "it is one frame; give two frames, or one folder or a pattern of frames"
+        return f"files {path.suffix or 'without an ending'} are not read; convert its frames to TIFF, one each"
+    try:
+        files = sorted(file for file in path.iterdir() if not file.name.startswith("."))
+    except OSError as error:
+        return f"it cannot be looked into ({error.strerror})"
+    if frames := [file for file in files if file.suffix.lower() in FRAME_ENDINGS]:
+        two = " ".join(f'"{file}"' for file in frames[:2])
+        return f"no names or numbers show which frames are pairs; give two frames by their names, such as {two}"
+    if inside := [file for file in files if is_source(file)]:
+        return f'give what lies in it: "{inside[0]}"'
+    endings = Counter(file.suffix or file.name for file in files if file.is_file())
+    there = ", ".join(f"{count} of {ending}" for ending, count in endings.most_common(3)) or "none at all"
+    return f"it holds no frames ({kinds}); its files: {there}; see docs/campaigns.md for what can be read"
 
 
 def _kind(place: str) -> type[FrameSource]:

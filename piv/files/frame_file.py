@@ -29,6 +29,7 @@ from ground.plain_file import open_plain, read_plain
 from ground.whole_file import whole_file
 from piv.errors import FrameDamaged, FrameError
 from piv.files.bitmap import BITMAP_ENDINGS, grey_bitmap, other_size
+from piv.files.content import other_content
 from piv.files.tiff_page import grey_page, size_in_file
 
 TIFF_ENDINGS = (".tif", ".tiff")
@@ -92,7 +93,7 @@ def read_frame(path: Path | str, shape: tuple[int, int] | None = None, crc32: st
     except OSError as error:
         raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
     except FrameError as error:
-        raise FrameError(f"{path}: {error}") from None
+        raise FrameError(f"{path}: {other_content(file) or error}") from None
 
 
 def page_of(path: Path) -> tuple[Path, int | None]:
@@ -146,7 +147,8 @@ def read_tiff(
     except OSError as error:
         raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:  # damaged files surface as any error of the decoders below tifffile
-        raise wrong(f"{path}: is damaged or no TIFF ({_short(error)}); {cure}") from None
+        other = other_content(file) if crc32 is None else ""
+        raise wrong(f"{path}: {other or f'is damaged or no TIFF ({_short(error)}); {cure}'}") from None
     facts = _facts(path, described)
     known = {text for text in (crc32, facts.get("crc32")) if text is not None}
     if known and known != {checksum(pixels)}:

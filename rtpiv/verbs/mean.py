@@ -7,7 +7,7 @@ from functools import partial
 from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
-from daq.frames.source import is_source
+from daq.frames.source import is_source, no_source_reason
 from daq.runs.names import is_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import where_lit
@@ -132,7 +132,8 @@ def mean(
             ):
                 raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
         else:
-            raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
+            none = "is neither a run, nor frames in pairs, nor the folder of a series"
+            raise RunUnsuitable(f"{path}: {none}: {no_source_reason(path)}")
         motion = OutOfPlane(options.get("sigma_w_m_s"), options.get("w_over_u"))
         view = SeriesView(folder, None if series is not None or motion == NOTHING_TOLD else motion)
         found = mean_of_series(view)

@@ -164,9 +164,10 @@ def run_series(
     grid = correction_of(jobs[0].maps, method).corrector.map.grid
     check = check_series(folder, jobs, method.scene, grid.pitch_mm)
     if check.valid_share < series.least_valid:
+        first = next(pair for pair in given.pairs if pair.tag not in reasons)
         raise PairError(
             f"only {100.0 * check.valid_share:.0f} % of the windows have a valid vector, median of pairs:"
-            f" {given.pairs[0].names}, and the others like them, are no pairs, or show no particles, or move too"
+            f" {first.names}, and the others like them, are no pairs, or show no particles, or move too"
             " far",
             place=series.run,
             cure="name pairs by --second, by @2-3,4-5 behind the name or by --both, or set a larger"

@@ -38,7 +38,7 @@ class SeriesCheck:
     Parameters
     ----------
     valid_share : float
-        Share of windows with valid vectors, of those that see a flow; median of the pairs.
+        Share of windows with valid vectors, of those that see a flow; median of the pairs that could be evaluated.
     warnings : tuple of str
         Sentences.
     """
@@ -73,7 +73,8 @@ def check_series(folder: SeriesFolder, jobs: Sequence[ChunkJob], scene: Scene, m
         both = np.stack([vectors.fields[f"displacement_{axis}"] for axis in "xy"], axis=-1).astype(np.float64)
         moved += list(np.where(valid[..., None], both, np.nan))
         pairs += job.pairs
-    share = float(np.median(share_of)) if share_of else 1.0
+    evaluated = [share for pair, share in zip(pairs, share_of, strict=True) if pair.tag not in failed]
+    share = float(np.median(evaluated)) if evaluated else 1.0
     speeds = [
         np.linalg.norm(one, axis=-1) * 1e-3 * mm_per_px / pair.dt_s
         for pair, one in zip(pairs, moved, strict=True)

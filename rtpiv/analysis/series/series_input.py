@@ -99,6 +99,8 @@ def tasks_of(
     run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
     if run is None and len(paths) == 2:
         scene = recipe.scene_of(scene, paths[0], out)
+    if run is None and len(paths) == 1:
+        source_of(paths[0])  # an error that says why it is none
     if run is None and len(paths) != 2:
         raise PairError(
             f"give two frames, or one folder of a run or of frames in pairs, not {len(paths)}; a pattern with *"

@@ -318,6 +318,37 @@ def test_frames_that_are_no_pairs_are_an_error_and_can_be_kept(tmp_path, capsys)
     assert re.search(r"only \d+ % of the windows have a valid vector, so these may be no pairs; 3 of 3", told)
 
 
+def test_copies_of_frames_are_named_and_pairs_beside_them_count(tmp_path, capsys):
+    frames = [*moved(0), *(moved(k)[0] for k in (1, 1, 2, 2))]
+    words = ["evaluate", str(write(tmp_path / "day", frames)), *OPTIONS, "-o", str(tmp_path / "out")]
+    assert main(words) == DONE
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "1 of 3 pairs have vectors" in said
+    assert "im0002.tif + im0003.tif" in said
+    assert "are the same picture" in said
+
+
+@pytest.mark.parametrize(
+    ("files", "given", "advice"),
+    [
+        (["jet.avi", "notes.txt"], ".", 'give what lies in it: "{}/jet.avi"'),
+        (["day_1.im7", "day_2.im7"], ".", 'give what lies in it: "{}/day_1.im7"'),
+        (["flow.mraw", "flow.cihx", "x.cihx"], ".", "its files: 2 of .cihx, 1 of .mraw"),
+        ([], ".", "its files: none at all"),
+        (["left.tif", "other.png"], ".", 'give two frames by their names, such as "{0}/left.tif" "{0}/other.png"'),
+        (["a.ppm", "b.ppm"], "a.ppm", "files .ppm are not read; convert its frames to TIFF"),
+        (["a.png"], "a.png", "it is one frame; give two frames, or one folder"),
+        (["a.tif"], "b", "it does not exist"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["evaluate", "mean"])
+def test_what_is_no_source_is_refused_with_what_to_give(verb, files, given, advice, tmp_path, capsys):
+    for name in files:
+        (tmp_path / name).write_bytes(b"")
+    assert main([verb, str(tmp_path / given), "-o", str(tmp_path / "out")]) == USAGE
+    assert advice.format(tmp_path) in " ".join(capsys.readouterr().err.split())
+
+
 def test_unrelated_frames_are_an_error_and_have_no_mean(tmp_path, capsys):
     folder = write(tmp_path / "day", [moved(k)[0] for k in range(6)])
     for verb, kept in (("evaluate", DONE), ("mean", USAGE)):

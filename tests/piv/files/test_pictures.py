@@ -1,6 +1,7 @@
 """Pictures of any camera: colours as grey and said once, JPEG, PGM; cut short or lying, refused in a sentence."""
 
 import io
+import re
 import struct
 
 import cv2
@@ -146,3 +147,24 @@ def test_pgms_that_cannot_be_read_are_one_sentence(tmp_path):
     (tmp_path / "a.pgm").write_bytes(b"P5 50 40 255\n" + pixels)
     with pytest.raises(FrameError, match="is 50 x 40 px, and 10 x 20 px are expected"):
         read_frame(tmp_path / "a.pgm", (20, 10))
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "said"),
+    [
+        ("a.tif", b"\x89PNG\r\n\x1a\n", "is a PNG by its content; rename it to a.png"),
+        ("a.tiff", b"\xff\xd8\xff\xe0", "is a JPEG by its content; rename it to a.jpg"),
+        ("a.png", b"II*\0", "is a TIFF by its content; rename it to a.tif"),
+        ("a.jpg", b"MM\0+", "is a TIFF by its content; rename it to a.tif"),
+        ("a.tif", b"version https://git-lfs.github.com/spec/v1\noid sha256:1", "get the frame by: git lfs pull"),
+        ("a.bmp", b"\n<!DOCTYPE html><html>", "is a web page or XML and no frame; download the frame again"),
+        ("a.tif", b"\x1f\x8b\x08", "is compressed by gzip"),
+        ("a.png", b"", "is empty; copy it from the camera again"),
+        ("a.tif", b"II*\0", "is damaged or no TIFF"),
+        ("a.jpeg", b"\xff\xd8\xff\xe0", "is damaged"),
+    ],
+)
+def test_a_file_of_another_kind_than_its_name_says_is_named(name, start, said, tmp_path):
+    (tmp_path / name).write_bytes(start + (b"\0" * 64 if start else b""))
+    with pytest.raises(FrameError, match=re.escape(said)):
+        read_frame(tmp_path / name)
