@@ -129,12 +129,15 @@ def open_document(path: Path | str) -> Document:
     try:
         root = yaml.compose(raw.decode("utf-8"), _BoundedLoader)
     except UnicodeDecodeError:
-        raise ConfigError(path, [Problem(0, "is not UTF-8 text")]) from None
+        raise ConfigError(path, [Problem(0, "is not UTF-8 text; save it as UTF-8 in your editor")]) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 0
         prefix = "" if isinstance(error, _OutOfBounds) else "is not valid YAML: "
-        raise ConfigError(path, [Problem(line, f"{prefix}{error.problem or error.context}")]) from None
+        said = str(error.problem or error.context)
+        if "cannot start any token" in said and b"\t" in raw:
+            said += "; indent with spaces, not with tabs"
+        raise ConfigError(path, [Problem(line, f"{prefix}{said}")]) from None
     except yaml.YAMLError as error:
         raise ConfigError(path, [Problem(0, f"is not valid YAML: {str(error).splitlines()[0]}")]) from None
     if root is None:

@@ -162,7 +162,11 @@ def measure_lattice(
             " bends the view around them"
         )
     if len(position) < LEAST_BOARD:
-        raise TargetNotFound(f"only {len(position)} corners could be fitted ({refused}); check focus and light")
+        others = ", ".join(f"{count} {reason.lower()}" for reason, count in refused.items() if reason != "OK")
+        raise TargetNotFound(
+            f"only {len(position)} corners could be fitted ({others or 'no others'}); check focus, light and the"
+            " description of the board"
+        )
     refused = {reason: n for reason, n in refused.items() if reason != "OK"}
     if foreign:
         refused["FOREIGN"] = foreign

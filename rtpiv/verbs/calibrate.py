@@ -111,7 +111,8 @@ def calibrate(
         try:
             return calibrate_lens(poses, held, path_of(scene), path_of(out), pictures, overwrite)
         except ViewsMissing as error:
-            raise ViewsMissing(error, cure=f"or, of a board on a stage, name the frames {WANTED}") from None
+            kind = "" if board else "describe a board of another kind, such as ChArUco or dots, by --board; "
+            raise ViewsMissing(error, cure=f"{kind}or, of a board on a stage, name the frames {WANTED}") from None
     nominal, priors = nominal_scene(folder, path_of(scene))
     target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)

@@ -153,7 +153,7 @@ BROKEN = {
     "merge key": ("  f_mm: 60.0", "  <<: {f_mm: 60.0}", 6, "merge keys are not supported"),
     "list as key": ("  f_mm: 60.0", "  ? [a, b]\n  : 1.0", 6, "keys must be plain words"),
     "not YAML": ("f_mm: 60.0", "f_mm: [60.0", 7, "is not valid YAML"),
-    "tabs": ("  f_mm: 60.0", "\tf_mm: 60.0", 6, "is not valid YAML"),
+    "tabs": ("  f_mm: 60.0", "\tf_mm: 60.0", 6, "indent with spaces, not with tabs"),
     "two documents": ("camera:", "---\ncamera:", 5, "another document"),
 }
 

@@ -152,6 +152,7 @@ def test_frames_of_a_stage_with_other_names_are_told_how_to_be_named(tmp_path):
     for name in ("bare", "glass", "glass +10"):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((64, 64), 90, np.uint8))
     with pytest.raises(
-        ViewsMissing, match=r"no frame shows the board; .* on a stage, name the frames target_clear"
+        ViewsMissing,
+        match=r"no frame shows the board; .* by --board; or, of a board on a stage, name the frames target_clear",
     ):
         calibrate(tmp_path, square_mm=2.5, out=tmp_path / "lens", pictures=False)
