@@ -28,9 +28,11 @@ FEW_STRAYS = 0.2  # of all frames of a folder at most, such as frames of the tar
 MARK_DIGITS = 2  # of a number that tells first from second frame at most; a longer one counts
 JITTER = 0.2  # of the usual time between frames, in names that are times
 APART = 3  # times as long between pairs as within them, at least, where the gaps between numbers say it
-# With a decimal point, comma or p, and an exponent; + or - is a sign behind _ or = (t_-0012)
-_NUMBER = re.compile(r"(?:(?<=[_=])[+-])?\d+(?:[.,p]\d+(?![\d.,p]))?(?:[eE][+-]\d\d?(?!\d))?")
+# With a decimal point, comma or p, and an exponent; + or - is a sign in front, and behind _ or = (t_-0012)
+_NUMBER = re.compile(r"(?:(?<![^_=])[+-])?\d+(?:[.,p]\d+(?![\d.,p]))?(?:[eE][+-]\d\d?(?!\d))?")
 _DECIMAL = re.compile(r"([+-]?\d+)[.,p](\d+)(.*)")
+_SIGN = re.compile(r"(?<![^_=])[+-]$")
+_TIME = re.compile(r"\d+([.,p])\d+(s|ms|us|µs|ns)?(?![^\W_])")
 _SIGNED = re.compile(r"[+-]#")
 _DIGITS = re.compile(r"\d+")
 _LETTERS = re.compile(r"[^\W\d_]+")
@@ -105,11 +107,21 @@ def _marks_in(name: str, group: Collection[str]) -> Iterator[tuple[int, int, str
         if len(number[0]) > MARK_DIGITS or int(number[0]) > 1 or len(numbers) < 2:
             continue
         values = {int(_DIGITS.findall(each)[place]) for each in group}
+        if _SIGN.search(stem, 0, number.start()) or _is_time(stem[number.start() :], group):
+            continue
         before, is_last = _word_before(stem, number.start()), place == len(numbers) - 1
         fits = FRAME_WORD.fullmatch(before) or (is_last and not OTHER_WORD.fullmatch(before))
         if fits and values in ({0, 1}, {1, 2}) and min(values) == int(number[0]):
             yield number.start(), number.end(), f"{int(number[0]) + 1:0{len(number[0])}d}"
             return  # of two such numbers the last one is the mark
+
+
+def _is_time(rest: str, group: Collection[str]) -> bool:
+    """Return whether a number goes on behind a decimal point, 0,5 or 1.25s; of 1.0001 the first may be a mark."""
+    found = _TIME.match(rest)
+    if found is None:
+        return False
+    return found[1] != "." or found[2] is not None or len({len(name) for name in group}) > 1
 
 
 def _word_before(stem: str, place: int) -> str:
@@ -199,7 +211,7 @@ def _groups_of(names: Collection[str]) -> Iterator[tuple[list[str], re.Pattern[s
     for group in groups.values():
         texts = [text for name in group for text in _NUMBER.findall(name.rpartition(".")[0])]
         fractions = [found[2] for text in texts if (found := _DECIMAL.match(text))]
-        counts = len({len(text) for text in fractions}) > 1 and any(text.endswith("0") for text in fractions)
+        counts = len({len(text) for text in fractions}) > 1 and any(text[1:].endswith("0") for text in fractions)
         yield group, _DIGITS if counts else _NUMBER  # run3.9 and run3.10 count; 0.9 and 0.15 do not
 
 

@@ -194,7 +194,10 @@ class FrameFolder(FoundFiles):
 
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         names = frames_in(path)
-        schemes, few = schemes_of(names), FEW_STRAYS * len(names)
+        few = FEW_STRAYS * len(names)
+        longest = max(sequences_of(names), key=len, default={})
+        is_signed = min(longest, default=0) < 0 and len(names) - len(longest) <= few  # 0, 1 are numbers beside -1
+        schemes = [] if is_signed else schemes_of(names)
         covering = [scheme for scheme in schemes if len(_others_of(scheme, names)) <= few]
         in_others = {name for scheme in schemes if scheme not in covering for name in scheme.names}
         is_unique = len(covering) == 1 and len(names - in_others) > few
