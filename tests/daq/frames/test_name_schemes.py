@@ -76,7 +76,7 @@ SCHEMES = {
     "the last two before the trigger": ([("Cam_-2.tif", "Cam_-1.tif")], []),
     "numbers alone, with signs": (sequence("{:d}.png", range(-4, 4)), ["mask.png"]),
     "trigger in a short series": (sequence("run=3_{:d}.tif", range(-2, 2)), []),
-    "times through 1 with a comma": (sequence("t={}.tif", [f"{k // 4},{k % 4 * 25}" for k in range(1, 9)]), []),
+    "times about 1 s": (sequence("t={}.tif", [f"{k / 4}".replace(".", ",") for k in range(1, 9)]), []),
     "times through 1 with a unit": (sequence("jet {:.2f}ms.tif", [k * 0.25 for k in range(8)]), []),
     "a mark in front of a point": (pairs_by("im0.{:04d}.tif", "im1.{:04d}.tif"), []),
     "decimal comma": (sequence("t={}s.tif", ["0,1", "0,15", "0,2", "0,25", "0,3", "0,35", "0,4", "0,45"]), []),
