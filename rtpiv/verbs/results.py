@@ -173,6 +173,8 @@ def require_folder(out: Path | str) -> Path:
         with tempfile.TemporaryFile(dir=there) as probe:
             probe.write(b"\0")
             probe.flush()
+    except RunUsageError:  # is a ValueError too
+        raise
     except (OSError, ValueError) as error:
         reason = str(getattr(error, "strerror", None) or error).lower()
         if getattr(error, "errno", None) in FULL:
