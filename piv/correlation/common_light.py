@@ -62,6 +62,7 @@ CLEAR = 3.0  # chance deviations that a lag must exceed
 NEARLY_ALL = 0.9  # of the vectors
 COARSE, LEVEL_PX = 1.25, 17  # deviations of an image, side of the surroundings: at half the resolution
 LEAST_LOST = 0.15  # with less, windows move as a whole
+SEAMS_WIDER = 1.2  # deviation of images over that of their seams, where these are wider
 WIDER = 1.2  # variance of images over that of what is left of them behind a texture
 APART = (  # length in deviations of an image, and how much of it comes of images that overlap (measured)
     (3.61, 4.05, 4.58, 5.18, 6.44, 10.0),
@@ -162,7 +163,12 @@ def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, thr
 
 
 def without_common_light(
-    pair: Pair, known: Known, min_valid: float, threads: int | None, lag: float = float("nan")
+    pair: Pair,
+    known: Known,
+    min_valid: float,
+    threads: int | None,
+    lag: float = float("nan"),
+    rests: float = 0.0,
 ) -> CommonLight | None:
     """Take off what both frames have in common; None if that is nothing, or is not known.
 
@@ -178,6 +184,8 @@ def without_common_light(
         Threads to use.
     lag : float
         From `lag_of_coarse_light`; NaN if it is not known.
+    rests : float
+        From `piv.correlation.two_motions.share_at_rest`.
     """
     shape = (pair.a.shape[0], pair.a.shape[1])
     seen = np.isfinite(known.correlation) & np.isfinite(known.vectors_px).all(axis=-1)
@@ -187,7 +195,7 @@ def without_common_light(
     usual = float(np.median(known.correlation[seen]))
     usual_px = float(np.median(np.linalg.norm(known.vectors_px[seen], axis=-1)))
     is_slow = usual_px < FAR * np.sqrt(spread_px2)
-    if usual > GOOD or (is_slow and abs(lag) < MOVES_WHOLE):
+    if not rests and (usual > GOOD or (is_slow and abs(lag) < MOVES_WHOLE)):
         return None
     try:
         rest = prepare_pair(
@@ -204,6 +212,13 @@ def without_common_light(
     asked = np.asarray(np.isfinite(found).all(axis=-1))
     clear = asked & (peak_ratios(left, grid, asked, min_valid, threads) > WEAK)
     length_px = np.linalg.norm(found, axis=-1)
+    slow = None
+    if rests:
+        # Along the flow seams are narrower than images.
+        seam_px = float(np.sqrt(_spreads_px2(rest)[1]))
+        slow = CommonLight(rest, rests, SEAMS_WIDER * seam_px)
+        if not clear.any() or np.median(length_px[clear]) < FAR * seam_px:
+            return slow
     if clear.any() and np.median(length_px[clear]) < FAR * np.sqrt(spread_px2):
         whole = correlate_windows(frames, grid, min_valid, threads)
         left_px2 = image_spread_px2(rest)
@@ -218,24 +233,24 @@ def without_common_light(
         if np.median(length_px[agreed]) > BEYOND_SEAMS * image_px and share > LEAST_COMMON:
             return CommonLight(rest, share, image_px)
     if is_slow and usual * without_noise > GOOD:
-        return None
-    slow = np.exp(-np.square(known.vectors_px).sum(axis=-1) / (4.0 * spread_px2))
+        return slow
+    slowly = np.exp(-np.square(known.vectors_px).sum(axis=-1) / (4.0 * spread_px2))
     # Images that are long, or rings, match themselves farther away than Gaussian ones of their width.
-    slow = np.maximum(slow, match_with_itself(pair.a, known.vectors_px))
+    slowly = np.maximum(slowly, match_with_itself(pair.a, known.vectors_px))
     vectors = np.stack([known.means(grid, known.vectors_px[..., axis]) for axis in range(2)], axis=-1)
     match = known.means(grid, known.correlation)
     # What moves as one is more than such slow vectors leave behind, or matches better than they do.
-    left_over = moved.correlation * (1.0 - at_rest) > OVER * (1.0 - known.means(grid, slow)) + LEFT_OVER
+    left_over = moved.correlation * (1.0 - at_rest) > OVER * (1.0 - known.means(grid, slowly)) + LEFT_OVER
     better = moved.correlation > match + BETTER
     is_at_rest = np.linalg.norm(vectors, axis=-1) < image_px
     far = clear & (length_px > np.where(is_at_rest & left_over, SEAMS_APART, FAR) * image_px)
     if far.sum() < max(FEWEST, SHARE * asked.sum()):
-        return None
-    rests = is_at_rest & (left_over | (match * without_noise < POOR))
+        return slow
+    stands = is_at_rest & (left_over | (match * without_noise < POOR))
     same = np.linalg.norm(vectors - found, axis=-1) < NEAR_PX
-    common = np.where(rests | better, at_rest, np.where(same, at_rest - known.means(grid, slow), 0.0))
+    common = np.where(stands | better, at_rest, np.where(same, at_rest - known.means(grid, slowly), 0.0))
     if not np.nanquantile(common[far], 0.25) > LEAST_COMMON:
-        return None
+        return slow
     return CommonLight(rest, float(np.nanmedian(at_rest[far])), image_px)
 
 
@@ -267,8 +282,13 @@ def _is_behind_texture(whole: Searched, spread_px2: float, left_px2: float, with
 
 def image_spread_px2(pair: Pair) -> float:
     """Variance of a particle image of a pair, by the direction in which it is smaller: patterns may have one."""
+    return _spreads_px2(pair)[0]
+
+
+def _spreads_px2(pair: Pair) -> list[float]:
+    """Variances of a particle image along columns and rows, the smaller first."""
     frame, weight = (np.ascontiguousarray(part.T) for part in (pair.a, pair.valid))
-    return min(pair.spread_px2, texture_of(frame, weight, bool(pair.valid.all())).spread_px2)
+    return sorted((pair.spread_px2, texture_of(frame, weight, bool(pair.valid.all())).spread_px2))
 
 
 def match_with_itself(frame: NDArray[np.float32], shift_px: Floats) -> Floats:

@@ -55,6 +55,7 @@ from ground.memory import require_memory
 from piv.correlation.agreement import LEAST_BLOCKS, least_resolution, measure_agreement, resolution_of
 from piv.correlation.common_light import (
     LAGS,
+    SUSPECT,
     CommonLight,
     Known,
     is_suspect,
@@ -96,6 +97,7 @@ from piv.correlation.taken_out import (
     without_seams,
     without_still,
 )
+from piv.correlation.two_motions import share_at_rest
 from piv.correlation.uncertainty import (
     LARGEST_PX,
     blocks_of,
@@ -203,7 +205,8 @@ def evaluate_pair(
         field = without_masked(field, given)
     if still is not None and still.any():
         field = without_still(field, given, still, settings.min_valid)
-    return replace(field, is_one_picture=_is_one_picture(frame_a, frame_b))
+    same = np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True)
+    return replace(field, is_one_picture=same)
 
 
 def _run_trials(
@@ -233,11 +236,6 @@ def _larger(side_px: int, frame_px: int) -> list[int]:
     return [side for side in (3 * side_px // 2, 2 * side_px, 4 * side_px) if 3 * side <= 2 * frame_px]
 
 
-def _is_one_picture(frame_a: NDArray[Any], frame_b: NDArray[Any]) -> bool:
-    """Return whether two frames of one size are the same, pixel by pixel."""
-    return bool(np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True))
-
-
 def _run_passes(
     pair: Pair, sides: list[int], settings: PivSettings, threads: int | None, common: CommonLight | None = None
 ) -> VectorField:
@@ -264,12 +262,15 @@ def _run_passes(
     still_share = static_share(still, vectors, spread_px2)
     if suspect is not None:
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
-        believed = np.where(course.found.good[..., None], course.found.vectors_px, np.nan)
-        lag = lag_of_coarse_light(course.deformed, known._replace(vectors_px=believed), spread_px2, threads)
-        common = without_common_light(suspect, known, settings.min_valid, threads, lag)
+        believed = known._replace(vectors_px=np.where(course.found.good[..., None], known.vectors_px, np.nan))
+        lag = lag_of_coarse_light(course.deformed, believed, spread_px2, threads)
+        # Where vectors are long, they tell
+        at_rest = 0.0 if still_share < SUSPECT else share_at_rest(course.deformed, believed, spread_px2)
+        common = without_common_light(suspect, known, settings.min_valid, threads, lag, at_rest)
         if common is not None:
-            field = _run_passes(replace(common.pair, given=suspect.given), sides, settings, threads, common)
-            return replace(field, nan_pixels=nan_pixels)
+            rest = replace(common.pair, given=suspect.given)
+            with suppress(PairError):  # nothing is left; vectors as they are do not count either
+                return replace(_run_passes(rest, sides, settings, threads, common), nan_pixels=nan_pixels)
         # -lag is part of the share that stands still, so a lower bound
         if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
