@@ -6,7 +6,7 @@ import pytest
 from tests.piv.lab_kinds import FLOWS, Counts, judge
 from tests.slow_cases import slow, slow_but
 
-STILL = "still, fine", "still, points", "still, coarse", "still, dim", "still, hot"
+STILL = "still, points", "still, coarse"
 
 
 @pytest.mark.parametrize(
@@ -28,15 +28,13 @@ def test_a_flow_that_still_light_outshines_has_no_silent_vector(kind, name, seed
 
 @pytest.mark.parametrize("kind", slow_but(STILL))
 def test_of_all_still_light_hardly_a_pair_is_silent(kind):
-    """28 to 93 % of the valid vectors were; of 20 flows, one behind a very fine texture still is."""
+    """46 to 70 % of the valid vectors were."""
     pairs = [judge(kind, name, seed) for name in FLOWS for seed in range(4400, 4404)]
     assert sum(one.silent > 0.01 * one.asked for one in pairs) <= 2
     assert sum(one.wrong > 0.01 * one.asked for one in pairs) <= 2
 
 
-@pytest.mark.parametrize("kind", ["clean", slow("clean, lossy")])
-def test_slow_flows_alone_stay_valid(kind):
-    seeds = range(4300, 4301 if kind == "clean" else 4308)
-    total = Counts(*np.sum([judge(kind, name, seed) for name in FLOWS for seed in seeds], axis=0))
+def test_slow_flows_alone_stay_valid():
+    total = Counts(*np.sum([judge("clean", name, 4300) for name in FLOWS], axis=0))
     assert total.warned == 0
     assert total.valid > 0.95 * total.asked
