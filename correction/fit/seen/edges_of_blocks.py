@@ -75,6 +75,8 @@ def find_edges(
     most_px : float
         How far from its predicted place a side may be, at most.
     """
+    if all(block.stays for block in Block.among(unknowns.scene.bodies)):
+        return ()  # other bodies may overlap while they are sought, which no scene may have
     found = unknowns.other_bodies.bodies_at(full[unknowns.others])
     bodies = tuple(found.get(body.name, body) for body in unknowns.scene.bodies)
     scene = replace(unknowns.scene, camera=unknowns.camera(full), bodies=bodies)
