@@ -89,6 +89,7 @@ from piv.correlation.resolution import (
 )
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
+from piv.correlation.static_light import stretch_of, stretched, without_static_waves
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
 from piv.correlation.taken_out import (
     is_measured,
@@ -237,11 +238,16 @@ def _larger(side_px: int, frame_px: int) -> list[int]:
 
 
 def _run_passes(
-    pair: Pair, sides: list[int], settings: PivSettings, threads: int | None, common: CommonLight | None = None
+    pair: Pair,
+    sides: list[int],
+    settings: PivSettings,
+    threads: int | None,
+    common: CommonLight | None = None,
+    is_damped: bool = False,
 ) -> VectorField:
     """Make all passes: down to usual windows, then with those that places find, the last ones again if need be.
 
-    `common` is what was taken off the pair.
+    `common` is what was taken off the pair; `is_damped` says whether waves that stand still were.
     """
     shape = (pair.a.shape[0], pair.a.shape[1])
     grids = [window_grid(shape, side, settings.overlap) for side in sides]
@@ -260,7 +266,7 @@ def _run_passes(
     if suspect is not None:  # large images are still at their own place when they have moved by their width
         still = still - np.maximum(match_with_itself(suspect.a, vectors[::2, ::2]), 0.0)
     still_share = static_share(still, vectors, spread_px2)
-    if suspect is not None:
+    if suspect is not None and not is_damped:
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
         believed = known._replace(vectors_px=np.where(course.found.good[..., None], known.vectors_px, np.nan))
         lag = lag_of_coarse_light(course.deformed, believed, spread_px2, threads)
@@ -274,7 +280,6 @@ def _run_passes(
         # -lag is part of the share that stands still, so a lower bound
         if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
-        del suspect
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
     while course.found.refined is not None and added < settings.extra_passes and _needs_another_pass(course):
         course.run_pass(course.grid)
@@ -290,7 +295,20 @@ def _run_passes(
     if common is not None:
         field = without_seams(field, common)
         still_share = common.share
-    return _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
+    field = _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
+    del course
+    stretch = None if suspect is None else stretch_of(suspect, field)
+    if suspect is None or stretch is None or not (stretch.is_static or is_damped):
+        return field
+    field = replace(
+        field, stretch=stretch.factor, static_share=float(np.fmax(still_share, 1.0 - 1.0 / stretch.factor))
+    )
+    if is_damped:
+        return field
+    damped = without_static_waves(suspect, stretch)
+    del suspect
+    again = None if damped is None else _run_passes(damped, sides, settings, threads, is_damped=True)
+    return stretched(field, again)
 
 
 def _decimate(field: VectorField, every: int) -> VectorField:

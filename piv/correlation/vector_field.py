@@ -107,6 +107,8 @@ class VectorField:
     common_light_px : float
         Length below which vectors are rejected because light that both frames have in common was taken off them
         (`piv.correlation.common_light`); 0 where none was.
+    stretch : float
+        Factor by which static light had made all vectors too short (`piv.correlation.static_light`); 1 without.
     """
 
     x_px: Floats
@@ -132,6 +134,7 @@ class VectorField:
     unfiltered_steady_px: Floats | None = None
     is_one_picture: bool = False
     common_light_px: float = 0.0
+    stretch: float = 1.0
 
     @property
     def valid(self) -> NDArray[np.bool_]:

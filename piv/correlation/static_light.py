@@ -1,0 +1,260 @@
+"""Light that stands still behind a slow flow, told by what of two frames is free of it.
+
+A static texture S that is as coarse as particle images draws vectors towards zero without any of them looking
+wrong. Of the transforms A = S + P exp(iq/2) and B = S + P exp(-iq/2) of a window, where particles P move by d and
+q = k d is their phase,
+
+    |A - B|^2/2 = (1 - cos q) |P|^2 + C,        Im(A B*) = sin q |P|^2 + chance
+
+hold no S: their ratio tells q, hence d, whatever stands still. C, of noise and of particles without a partner,
+is the same for all waves of one length, so that only its rise along the flow counts: |P|^2 and C are fitted to
+rings of wave numbers, over windows of all the frame. The factor of all vectors at which both equations agree best
+is their *stretch*: 1 without static light (0.97 to 1.02 in flows before nothing; less if images are long in the
+direction of the flow), 1.3 where they are 23 % too short. Waves along rows and columns do not count, since sensors
+make those of their own. What is common to all frames of a series is better taken off beforehand.
+
+If vectors are too short, waves in which S is strong are damped (Wiener): |P|^2/(|P|^2 + |S|^2), where |S|^2 is
+what is left of Re(A B*). That removes lines, and textures of another grain than that of the particles. What is
+left of the stretch then goes onto the vectors, and into their uncertainty, for single windows hold more of S or less.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from piv.correlation.planes import fill_gaps
+from piv.correlation.prepare import Pair, prepare_pair
+from piv.correlation.taken_out import without_vectors
+from piv.correlation.vector_field import RESOLUTION_LENGTHS, VectorField, VectorFlag
+from piv.errors import PairError
+
+Floats = NDArray[np.float64]
+SIDE_PX, STEP_PX = 32, 16  # of the windows that are transformed
+MOST_WINDOWS, FEWEST_WINDOWS = 400, 24
+SLOWEST_PX = 0.08  # displacement that tells something
+LOWEST, HIGHEST, RING = 0.3, 1.9, 0.16  # wave numbers [1/px] that particle images hold, and width of their rings
+LARGEST_PHASE = 2.5  # of a wave: a longer way repeats itself
+UNEVEN_PX, UNEVEN_SHARE = (0.1, 1.0), 0.5  # change of vectors within a window, beyond which it has not one
+PLACES = 30  # waves that a ring needs
+INDEPENDENT = 0.35  # share of the waves of overlapping windows that are independent
+STRETCHES = np.exp(np.linspace(np.log(0.7), np.log(6.0), 44))
+STRAIGHT, INCLINED, LINE_WAVES = (0, 1), (3, 4), np.arange(3, 10)  # numbers of waves across and along
+LINES, LEAST_LINES = 30.0, 0.3  # times the power of inclined waves that stands still; of that which moves
+LEAST_STRETCH, LEAST_EVIDENCE = 1.03, 8.0  # evidence: twice the logarithm of the likelihood over that of 1
+MOST_STRETCH, MOST_ADDED_PX = 1.25, 0.3  # with more, some windows show the texture and others the flow
+NEIGHBOURS = 5  # vectors along each side whose longest is what static light takes a share of
+LEAST_KEPT = 0.9  # of the valid vectors
+LEFT_OVER = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
+
+
+class Waves(NamedTuple):
+    """Transforms (n, modes) of windows of frames A and B, over their power; vectors (n, 2) [px]; wave numbers."""
+
+    a: NDArray[np.complex64]
+    b: NDArray[np.complex64]
+    vectors_px: NDArray[np.float32]
+    ky: NDArray[np.float32]
+    kx: NDArray[np.float32]
+
+
+class Stretch(NamedTuple):
+    """Factor by which vectors are too short, the windows that show it, and whether light stands still in them."""
+
+    factor: float
+    waves: Waves
+    is_static: bool
+
+
+def stretch_of(pair: Pair, field: VectorField) -> Stretch | None:
+    """Measure by how much vectors are too short for what moves; None if that is not known.
+
+    Parameters
+    ----------
+    pair : Pair
+        Frames as they were levelled.
+    field : VectorField
+        What the pair shows as it is.
+    """
+    waves = _waves(pair, field)
+    if waves is None:
+        return None
+    has_lines = _has_lines(*_parts(waves, 1.0))
+    rings = _Rings(waves, _told(waves))
+    as_it_is = rings.power(1.0)[1]
+    # Most pairs end here: a small stretch already makes them less likely.
+    if rings.power(LEAST_STRETCH)[1] >= as_it_is:
+        return Stretch(1.0, waves, has_lines)
+    misfit = np.array([rings.power(stretch)[1] for stretch in STRETCHES])
+    place = int(np.clip(np.argmin(misfit), 1, len(misfit) - 2))
+    before, least, after = misfit[place - 1 : place + 2]
+    offset = 0.5 * (before - after) / max(before - 2.0 * least + after, 1e-12)
+    factor = float(STRETCHES[place] * (STRETCHES[1] / STRETCHES[0]) ** np.clip(offset, -1.0, 1.0))
+    is_short = factor > LEAST_STRETCH and as_it_is - least > LEAST_EVIDENCE
+    return Stretch(factor, waves, bool(is_short or has_lines))
+
+
+def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
+    """Damp the waves in which a texture stands still; None if nothing is left."""
+    import cv2
+
+    moving, still = _parts(stretch.waves, stretch.factor)
+    gain = np.divide(moving, moving + still, out=np.ones_like(moving), where=moving + still > 0.0)
+    gain = scipy.ndimage.gaussian_filter(gain, 0.5, mode="nearest")
+    kernel = np.fft.fftshift(np.fft.irfft2(gain, (SIDE_PX, SIDE_PX)))[1:, 1:]  # odd, so that it moves nothing
+    a, b = (
+        np.asarray(cv2.filter2D(part, -1, kernel.astype(np.float32), borderType=cv2.BORDER_REFLECT))
+        for part in (pair.a, pair.b)
+    )
+    try:
+        return replace(prepare_pair(a, b, pair.valid > 0.0, SIDE_PX), given=pair.given)
+    except PairError:
+        return None
+
+
+def stretched(field: VectorField, damped: VectorField | None) -> VectorField:
+    """Return vectors of a pair as it is or of its damped waves, stretched; none if they are too short.
+
+    Parameters
+    ----------
+    field, damped : VectorField
+        Vectors as they were measured, whose `stretch` is known; None if waves could not be damped.
+    """
+    hidden = abs(field.stretch - 1.0)
+    if damped is not None and damped.valid_share > LEAST_KEPT * field.valid_share:
+        short, left = (abs(np.log(each.stretch)) for each in (field, damped))
+        field = damped if left <= short else field
+    if field.stretch > MOST_STRETCH:
+        return without_vectors(field, field.valid, VectorFlag.REJECTED)
+    # Where windows hold more of the texture than elsewhere, vectors are shorter still: those around them tell.
+    length_px = np.where(field.valid, np.hypot(field.u_px, field.v_px), 0.0)
+    share = max(abs(field.stretch - 1.0), LEFT_OVER * hidden)
+    added_px = share * scipy.ndimage.maximum_filter(length_px, NEIGHBOURS)
+    lengths = field.lengths
+    more: dict[str, Any] = {
+        name: np.hypot(lengths[name], added_px) for name in RESOLUTION_LENGTHS if name in lengths
+    }
+    if "unfiltered_px" in lengths:
+        more["unfiltered_px"] = lengths["unfiltered_px"] * field.stretch
+    field = replace(field, u_px=field.u_px * field.stretch, v_px=field.v_px * field.stretch, **more)
+    return without_vectors(field, field.valid & (added_px > MOST_ADDED_PX), VectorFlag.REJECTED)
+
+
+def _waves(pair: Pair, field: VectorField) -> Waves | None:
+    """Transform windows that hold light only, and one displacement; None if they are too few."""
+    good = field.valid
+    if min(pair.a.shape) < 2 * SIDE_PX or not good.any():
+        return None
+    first = [np.arange(0, side - SIDE_PX + 1, STEP_PX) for side in pair.a.shape]
+    places = np.stack(np.meshgrid(*first, indexing="ij"), axis=-1).reshape(-1, 2)
+    middle = places + (SIDE_PX - 1) / 2
+    filled = fill_gaps(np.stack((field.u_px, field.v_px), axis=-1), good)[0]
+    values = np.concatenate((filled, good[..., None]), axis=-1)
+    corners = np.stack([_between(field, values, middle + SIDE_PX / 3 * np.array(way)) for way in _CORNERS])
+    vectors, known = _between(field, values, middle)[:, :2], corners[..., 2].min(axis=0)
+    change_px = np.ptp(corners[..., :2], axis=0).max(axis=-1)
+    even = change_px < np.minimum(UNEVEN_PX[0] + UNEVEN_SHARE * np.linalg.norm(vectors, axis=-1), UNEVEN_PX[1])
+    whole = np.array(
+        [pair.valid[row : row + SIDE_PX, column : column + SIDE_PX].min() > 0.0 for row, column in places]
+    )
+    moves = np.linalg.norm(vectors, axis=-1) > SLOWEST_PX
+    usable = np.flatnonzero(even & whole & moves & (known > 0.5))
+    if len(usable) < FEWEST_WINDOWS:
+        return None
+    usable = usable[:: -(-len(usable) // MOST_WINDOWS)]
+    taper = np.hanning(SIDE_PX + 2)[1:-1]
+    weight = (taper[:, None] * taper).astype(np.float32)
+    parts = [
+        scipy.fft.rfft2(
+            np.stack([frame[row : row + SIDE_PX, column : column + SIDE_PX] for row, column in places[usable]])
+            * weight
+        )
+        for frame in (pair.a, pair.b)
+    ]
+    a, b = (part / np.sqrt(np.square(np.abs(part)).mean()) for part in parts)  # pulses of unequal light
+    power = np.sqrt((np.square(np.abs(a)) + np.square(np.abs(b))).mean(axis=(1, 2), keepdims=True))
+    power = np.maximum(power, 1e-6 * power.max())
+    k = 2.0 * np.pi * np.fft.fftfreq(SIDE_PX)
+    ky, kx = (part.astype(np.float32) for part in np.meshgrid(k, np.abs(k[: SIDE_PX // 2 + 1]), indexing="ij"))
+    return Waves(a / power, b / power, vectors[usable].astype(np.float32), ky, kx)
+
+
+_CORNERS = (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)
+
+
+def _between(field: VectorField, values: Floats, places: Floats) -> Floats:
+    """Values (ny, nx, c) at the vectors of a field, between them at places (n, 2), rows first [px]."""
+    nodes = field.y_px, field.x_px
+    at = [np.interp(places[:, axis], each, np.arange(len(each))) for axis, each in enumerate(nodes)]
+    return np.stack(
+        [
+            scipy.ndimage.map_coordinates(values[..., part], at, order=1, mode="nearest")
+            for part in range(values.shape[-1])
+        ],
+        axis=-1,
+    )
+
+
+class _Rings:
+    """Waves by rings of their length, to which the power that moves is fitted."""
+
+    def __init__(self, waves: Waves, asked: NDArray[np.bool_]) -> None:
+        u, v = (waves.vectors_px[:, axis, None] for axis in range(2))
+        self.phase = u * waves.kx[asked] + v * waves.ky[asked]
+        self.counts = np.abs(self.phase) < LARGEST_PHASE
+        self.cross = waves.a[:, asked] * np.conj(waves.b[:, asked])
+        length = np.hypot(waves.ky, waves.kx)[asked]
+        self.ring = np.rint((length - length.min()) / RING).astype(np.int64)
+        self.rings = np.broadcast_to(self.ring, self.counts.shape)[self.counts]
+        self.size = int(self.ring.max()) + 1
+        self.even = (0.5 * np.square(np.abs(waves.a[:, asked] - waves.b[:, asked])))[self.counts]
+        self.odd = self.cross.imag[self.counts]
+        self.number = np.maximum(np.bincount(self.rings, minlength=self.size), 1)
+        self.mean = self._total(self.even) / self.number
+        # An even part is the square of noise, distributed as its own mean.
+        self.variances = np.square(self.mean) + 1e-30, self._total(np.square(self.odd)) / self.number + 1e-30
+
+    def _total(self, values: NDArray[Any]) -> Floats:
+        return np.bincount(self.rings, values, self.size)
+
+    def power(self, stretch: float) -> tuple[Floats, float]:
+        """Return the power of each ring that moves, and minus twice the logarithm of the likelihood, both fitted."""
+        phase = np.float32(stretch) * self.phase[self.counts]
+        sine, rise = np.sin(phase), 1.0 - np.cos(phase)
+        rises = self._total(rise)
+        fits = (self._total(rise * self.even) - rises * self.mean) / self.variances[0]
+        fits += self._total(sine * self.odd) / self.variances[1]
+        weights = (self._total(np.square(rise)) - np.square(rises) / self.number) / self.variances[0]
+        weights = np.maximum(weights + self._total(np.square(sine)) / self.variances[1], 1e-30)
+        power = np.where(self.number > PLACES, np.maximum(fits, 0.0) / weights, 0.0)
+        return power, INDEPENDENT * float((power * power * weights - 2.0 * power * fits).sum())
+
+
+def _told(waves: Waves) -> NDArray[np.bool_]:
+    """Return which waves (ky, kx) tell the stretch: those that particle images hold, and no sensor alone."""
+    length, least = np.hypot(waves.ky, waves.kx), 1.5 * 2.0 * np.pi / SIDE_PX
+    told = (length > LOWEST) & (length < HIGHEST) & (np.abs(waves.ky) > least) & (waves.kx > least)
+    return np.asarray(told)
+
+
+def _parts(waves: Waves, stretch: float) -> tuple[Floats, Floats]:
+    """Power (ky, kx) of each wave that moves, and that stands still."""
+    rings = _Rings(waves, np.ones(waves.ky.shape, bool))
+    moving = rings.power(stretch)[0][rings.ring]
+    left = np.where(rings.counts, rings.cross.real - moving * np.cos(stretch * rings.phase), 0.0)
+    still = np.maximum(left.sum(axis=0) / np.maximum(rings.counts.sum(axis=0), 1), 0.0)
+    return moving.reshape(waves.ky.shape), still.reshape(waves.ky.shape)
+
+
+def _has_lines(moving: Floats, still: Floats) -> bool:
+    """Return whether waves along rows or columns stand still far more than those that are a little inclined."""
+    for moves, stands in ((moving, still), (moving.T, still.T)):
+        along, inclined, flow = (
+            part[np.ix_(which, LINE_WAVES)].mean()
+            for part, which in ((stands, STRAIGHT), (stands, INCLINED), (moves, STRAIGHT))
+        )
+        if along > LINES * inclined and along > LEAST_LINES * flow:
+            return True
+    return False
