@@ -89,14 +89,15 @@ from piv.correlation.resolution import (
 )
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
-from piv.correlation.static_light import stretch_of, stretched, without_static_waves
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
+from piv.correlation.static_light import hidden_share, stretch_of, stretched, without_static_waves
 from piv.correlation.taken_out import (
     is_measured,
     without_chance_vectors,
     without_masked,
     without_seams,
     without_still,
+    without_vectors,
 )
 from piv.correlation.two_motions import share_at_rest
 from piv.correlation.uncertainty import (
@@ -116,6 +117,9 @@ BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may 
 # Larger first windows are tried if few places have a vector, and kept if they find more
 MIN_VALID_SHARE = 0.8  # of the windows
 RETRY_GAIN, RETRY_LEFT = 1.5, 0.6  # share with a vector, and without, over that of the usual windows
+HIDDEN_SHARE = 0.3  # of blocks whose vector is far too short: still light hides the flow
+MUCH_AT_REST = 0.3  # of the light: vectors that are stretched are not trusted where damping leaves two motions
+MOVING_SHARE = 0.5  # of the windows, where what stands still was drawing vectors to zero
 PASS_CHANGE_PX, PASS_CHANGED_SHARE = 0.25, 0.03  # more vectors moved by more: another pass is worth its time
 # Single vectors
 MIN_MATCH_SHARE, MAX_MISMATCH_PX = 0.25, 0.25  # of a window's light; and the error that the rest may cause
@@ -266,17 +270,18 @@ def _run_passes(
     if suspect is not None:  # large images are still at their own place when they have moved by their width
         still = still - np.maximum(match_with_itself(suspect.a, vectors[::2, ::2]), 0.0)
     still_share = static_share(still, vectors, spread_px2)
-    if suspect is not None and not is_damped:
+    known, lag, at_rest = None, float("nan"), 0.0
+    if suspect is not None:
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
         believed = known._replace(vectors_px=np.where(course.found.good[..., None], known.vectors_px, np.nan))
         lag = lag_of_coarse_light(course.deformed, believed, spread_px2, threads)
         # Where vectors are long, they tell
         at_rest = 0.0 if still_share < SUSPECT else share_at_rest(course.deformed, believed, spread_px2)
-        common = without_common_light(suspect, known, settings.min_valid, threads, lag, at_rest)
+        if not is_damped:
+            common = without_common_light(suspect, known, settings.min_valid, threads, lag)
         if common is not None:
-            rest = replace(common.pair, given=suspect.given)
-            with suppress(PairError):  # nothing is left; vectors as they are do not count either
-                return replace(_run_passes(rest, sides, settings, threads, common), nan_pixels=nan_pixels)
+            field = _run_passes(replace(common.pair, given=suspect.given), sides, settings, threads, common)
+            return replace(field, nan_pixels=nan_pixels)
         # -lag is part of the share that stands still, so a lower bound
         if lag < -LAGS:
             still_share = max(-lag, np.nan_to_num(still_share))
@@ -298,17 +303,30 @@ def _run_passes(
     field = _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
     del course
     stretch = None if suspect is None else stretch_of(suspect, field)
-    if suspect is None or stretch is None or not (stretch.is_static or is_damped):
-        return field
-    field = replace(
-        field, stretch=stretch.factor, static_share=float(np.fmax(still_share, 1.0 - 1.0 / stretch.factor))
-    )
     if is_damped:
+        factor = 1.0 if stretch is None else stretch.factor
+        return replace(field, stretch=float("inf") if at_rest else factor)
+    is_static = stretch is not None and stretch.is_static
+    if suspect is None or known is None or not (at_rest or is_static):
         return field
-    damped = without_static_waves(suspect, stretch)
-    del suspect
-    again = None if damped is None else _run_passes(damped, sides, settings, threads, is_damped=True)
-    return stretched(field, again)
+    if not is_static and hidden_share(suspect, field) < HIDDEN_SHARE:
+        return field  # flows beside a fluid at rest show two motions as well
+    if stretch is not None and is_static:
+        share = float(np.fmax(still_share, 1.0 - 1.0 / stretch.factor))
+        damped = without_static_waves(suspect, stretch)
+        again = None if damped is None else _run_passes(damped, sides, settings, threads, is_damped=True)
+        is_left = at_rest > MUCH_AT_REST and again is not None and np.isinf(again.stretch)
+        field = stretched(replace(field, stretch=stretch.factor, static_share=share), again)
+        if not at_rest or (field.valid.any() and not is_left):
+            return field
+    # Vectors that still light draws to zero, and nothing tells how far, mean nothing without it.
+    common = without_common_light(suspect, known, settings.min_valid, threads, lag, at_rest)
+    with suppress(PairError):  # nothing is left
+        if common is not None:
+            rest = replace(common.pair, given=suspect.given)
+            field = replace(_run_passes(rest, sides, settings, threads, common), nan_pixels=nan_pixels)
+    # A few vectors between places that mean nothing are there by chance.
+    return field if field.valid_share > MOVING_SHARE else without_vectors(field, field.asked, VectorFlag.REJECTED)
 
 
 def _decimate(field: VectorField, every: int) -> VectorField:

@@ -15,7 +15,7 @@ make those of their own. What is common to all frames of a series is better take
 
 If vectors are too short, waves in which S is strong are damped (Wiener): |P|^2/(|P|^2 + |S|^2), where |S|^2 is
 what is left of Re(A B*). That removes lines, and textures of another grain than that of the particles. What is
-left of the stretch then goes onto the vectors, and into their uncertainty, for single windows hold more of S or less.
+left of the stretch then goes onto the vectors, and into their uncertainty: windows hold more of S, or less.
 """
 
 from dataclasses import replace
@@ -41,11 +41,19 @@ UNEVEN_PX, UNEVEN_SHARE = (0.1, 1.0), 0.5  # change of vectors within a window, 
 PLACES = 30  # waves that a ring needs
 INDEPENDENT = 0.35  # share of the waves of overlapping windows that are independent
 STRETCHES = np.exp(np.linspace(np.log(0.7), np.log(6.0), 44))
-STRAIGHT, INCLINED, LINE_WAVES = (0, 1), (3, 4), np.arange(3, 10)  # numbers of waves across and along
+STRAIGHT, INCLINED, LINE_WAVES = (
+    np.arange(2),
+    np.arange(3, 5),
+    np.arange(3, 10),
+)  # numbers of waves across and along
 LINES, LEAST_LINES = 30.0, 0.3  # times the power of inclined waves that stands still; of that which moves
 LEAST_STRETCH, LEAST_EVIDENCE = 1.03, 8.0  # evidence: twice the logarithm of the likelihood over that of 1
 MOST_STRETCH, MOST_ADDED_PX = 1.25, 0.3  # with more, some windows show the texture and others the flow
 NEIGHBOURS = 5  # vectors along each side whose longest is what static light takes a share of
+BLOCK_PX, BLOCKS = 96, 4  # side of a block, and how many along each side of a frame
+_LENGTHS, _ANGLES = np.geomspace(0.3, 5.0, 12)[:, None], np.arange(16) * (np.pi / 8)
+TRIALS_PX = np.stack((_LENGTHS * np.cos(_ANGLES), _LENGTHS * np.sin(_ANGLES)), axis=-1).reshape(-1, 2)
+LONGER, LONGER_PX, HIDDEN_EVIDENCE = 1.8, 0.15, 30.0  # by which a displacement exceeds the vector; evidence for it
 LEAST_KEPT = 0.9  # of the valid vectors
 LEFT_OVER = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
 
@@ -96,6 +104,42 @@ def stretch_of(pair: Pair, field: VectorField) -> Stretch | None:
     return Stretch(factor, waves, bool(is_short or has_lines))
 
 
+def hidden_share(pair: Pair, field: VectorField) -> float:
+    """Share of blocks of a pair that a displacement far longer than its vectors explains far better."""
+    found = []
+    first = [
+        np.linspace(0, side - BLOCK_PX, min(side // BLOCK_PX, BLOCKS)).astype(np.int64) for side in pair.a.shape
+    ]
+    inside = np.arange(0, BLOCK_PX - SIDE_PX + 1, STEP_PX)
+    windows = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
+    for row in first[0]:
+        for column in first[1]:
+            if pair.valid[row : row + BLOCK_PX, column : column + BLOCK_PX].min() == 0.0:
+                continue
+            middle = (
+                np.argmin(np.abs(nodes - start - BLOCK_PX / 2))
+                for nodes, start in ((field.y_px, row), (field.x_px, column))
+            )
+            at = tuple(middle)
+            vector = np.array((field.u_px[at], field.v_px[at]))
+            if not np.isfinite(vector).all():
+                continue
+            waves = _transform(pair, windows + np.array((row, column)), np.zeros((len(windows), 2)))
+            misfit = [
+                _Rings(each, _told(waves)).power(1.0)[1]
+                for each in (_moved(waves, vector), *(_moved(waves, trial) for trial in TRIALS_PX))
+            ]
+            best = int(np.argmin(misfit[1:]))
+            is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * np.linalg.norm(vector) + LONGER_PX
+            found.append(is_long and misfit[0] - misfit[1 + best] > HIDDEN_EVIDENCE)
+    return float(np.mean(found)) if found else 0.0
+
+
+def _moved(waves: Waves, vector_px: Floats) -> Waves:
+    """The same windows, all with one displacement."""
+    return waves._replace(vectors_px=np.broadcast_to(vector_px.astype(np.float32), waves.vectors_px.shape))
+
+
 def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
     """Damp the waves in which a texture stands still; None if nothing is left."""
     import cv2
@@ -125,7 +169,7 @@ def stretched(field: VectorField, damped: VectorField | None) -> VectorField:
     hidden = abs(field.stretch - 1.0)
     if damped is not None and damped.valid_share > LEAST_KEPT * field.valid_share:
         short, left = (abs(np.log(each.stretch)) for each in (field, damped))
-        field = damped if left <= short else field
+        field = replace(damped, static_share=field.static_share) if left <= short else field
     if field.stretch > MOST_STRETCH:
         return without_vectors(field, field.valid, VectorFlag.REJECTED)
     # Where windows hold more of the texture than elsewhere, vectors are shorter still: those around them tell.
@@ -151,7 +195,7 @@ def _waves(pair: Pair, field: VectorField) -> Waves | None:
     places = np.stack(np.meshgrid(*first, indexing="ij"), axis=-1).reshape(-1, 2)
     middle = places + (SIDE_PX - 1) / 2
     filled = fill_gaps(np.stack((field.u_px, field.v_px), axis=-1), good)[0]
-    values = np.concatenate((filled, good[..., None]), axis=-1)
+    values = np.concatenate((filled, good[..., None].astype(np.float64)), axis=-1)
     corners = np.stack([_between(field, values, middle + SIDE_PX / 3 * np.array(way)) for way in _CORNERS])
     vectors, known = _between(field, values, middle)[:, :2], corners[..., 2].min(axis=0)
     change_px = np.ptp(corners[..., :2], axis=0).max(axis=-1)
@@ -164,12 +208,16 @@ def _waves(pair: Pair, field: VectorField) -> Waves | None:
     if len(usable) < FEWEST_WINDOWS:
         return None
     usable = usable[:: -(-len(usable) // MOST_WINDOWS)]
+    return _transform(pair, places[usable], vectors[usable])
+
+
+def _transform(pair: Pair, places: NDArray[np.int64], vectors_px: Floats) -> Waves:
+    """Transform windows at places (n, 2) of their first pixel, whose vectors are known."""
     taper = np.hanning(SIDE_PX + 2)[1:-1]
     weight = (taper[:, None] * taper).astype(np.float32)
     parts = [
         scipy.fft.rfft2(
-            np.stack([frame[row : row + SIDE_PX, column : column + SIDE_PX] for row, column in places[usable]])
-            * weight
+            np.stack([frame[row : row + SIDE_PX, column : column + SIDE_PX] for row, column in places]) * weight
         )
         for frame in (pair.a, pair.b)
     ]
@@ -178,13 +226,13 @@ def _waves(pair: Pair, field: VectorField) -> Waves | None:
     power = np.maximum(power, 1e-6 * power.max())
     k = 2.0 * np.pi * np.fft.fftfreq(SIDE_PX)
     ky, kx = (part.astype(np.float32) for part in np.meshgrid(k, np.abs(k[: SIDE_PX // 2 + 1]), indexing="ij"))
-    return Waves(a / power, b / power, vectors[usable].astype(np.float32), ky, kx)
+    return Waves(a / power, b / power, vectors_px.astype(np.float32), ky, kx)
 
 
 _CORNERS = (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)
 
 
-def _between(field: VectorField, values: Floats, places: Floats) -> Floats:
+def _between(field: VectorField, values: Floats, places: NDArray[Any]) -> Floats:
     """Values (ny, nx, c) at the vectors of a field, between them at places (n, 2), rows first [px]."""
     nodes = field.y_px, field.x_px
     at = [np.interp(places[:, axis], each, np.arange(len(each))) for axis, each in enumerate(nodes)]
@@ -217,10 +265,10 @@ class _Rings:
         self.variances = np.square(self.mean) + 1e-30, self._total(np.square(self.odd)) / self.number + 1e-30
 
     def _total(self, values: NDArray[Any]) -> Floats:
-        return np.bincount(self.rings, values, self.size)
+        return np.bincount(self.rings, values, self.size).astype(np.float64)
 
     def power(self, stretch: float) -> tuple[Floats, float]:
-        """Return the power of each ring that moves, and minus twice the logarithm of the likelihood, both fitted."""
+        """Fit the power of each ring that moves; also return minus twice the logarithm of the likelihood."""
         phase = np.float32(stretch) * self.phase[self.counts]
         sine, rise = np.sin(phase), 1.0 - np.cos(phase)
         rises = self._total(rise)
