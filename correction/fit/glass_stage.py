@@ -41,10 +41,16 @@ FOLLOW = 1.0
 STRAY_DEPTH_SIGMA_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 MIN_PAIRED_SHARE = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
 LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
-AGAIN, STAYS_MM = 6, 0.02  # times that a place is measured, while corners move the ball that stands there
-WORSE, OWN_WORSE = 1.2, 3.0  # times, that corners of others may fit worse than before, and its own than others
+# Times that a place is measured, while corners move the ball that stands there
+AGAIN = 6
+STAYS_MM = 0.02
+# Times, that corners of others may fit worse than before, and its own than others
+WORSE = 1.2
+OWN_WORSE = 3.0
 FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
-SEARCH_PX, REFINE_PX = 80.0, 4.0  # how far edges of blocks are looked for, at first and again
+# How far edges of blocks are looked for, at first and again
+SEARCH_PX = 80.0
+REFINE_PX = 4.0
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 
 

@@ -15,8 +15,16 @@ from itertools import pairwise
 from math import gcd
 from statistics import median
 
-MARKS = {"a": "b", "A": "B", "first": "second", "First": "Second", "FIRST": "SECOND", "I": "II"}
-for _one, _other in (("before", "after"), ("start", "end"), ("begin", "end"), ("one", "two"), ("ref", "def")):
+MARKS = {"a": "b", "A": "B", "I": "II"}
+WORD_MARKS = {
+    "first": "second",
+    "before": "after",
+    "start": "end",
+    "begin": "end",
+    "one": "two",
+    "ref": "def",
+}
+for _one, _other in WORD_MARKS.items():
     MARKS |= {_one: _other, _one.capitalize(): _other.capitalize(), _one.upper(): _other.upper()}
 FRAME_WORD = re.compile(r"(?:f|fr|frame|frm|im|img|image|pic|l|las|laser|p|pulse|e|exp|expo|exposure|t|shot)?")
 OTHER_WORD = re.compile(

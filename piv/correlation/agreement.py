@@ -51,7 +51,9 @@ OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and,
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
 REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
-BACK, FOLLOWED = 1.5, 3.5  # variances of noise that are put back: where the model counts, and at least
+# Variances of noise that are put back: where the model counts, and at least
+BACK = 1.5
+FOLLOWED = 3.5
 OF_FLOW = 0.2  # of what is measured: adds to the variance of one correlation
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels

@@ -26,7 +26,9 @@ range is noise or two of five particles are lost (ADR 39).
 import numpy as np
 from numpy.typing import NDArray
 
-PROVEN, WEAK = 2.0, 1.5  # highest peak over the second one
+# Highest peak over the second one
+PROVEN = 2.0
+WEAK = 1.5
 NEIGHBOUR_REACH = 0.1  # of the window's side
 BY_CHANCE = 2.3  # standard deviations
 ROWS_OF_THREE = (0, 1), (1, 0), (1, 1), (1, -1)  # steps along rows and columns

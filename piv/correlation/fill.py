@@ -21,7 +21,9 @@ from ground.rows import run_rows
 from piv.correlation.kernels.kriging import krige
 
 FILL_BLUR_PX = 1.0  # standard deviation of the weights that fill regions
-AROUND_PX, HOLE = 2.0, 0.5  # by these weights so much around a hole is valid
+# By these weights so much around a hole is valid
+FILL_AROUND_PX = 2.0
+HOLE = 0.5
 NEAR_PX2 = 10  # squared distance of the neighbours that a hole learns from
 LEAST_NOISE = 0.007  # of the picture's variance: what sampling alone makes of particle images
 
@@ -65,7 +67,9 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
     weight = seen.astype(np.float32)
     missing = ~seen
     # NumPy gives Fortran order but for a single row, and the kernel would be compiled for both orders
-    holes = np.ascontiguousarray(np.argwhere(missing & ~_region(missing) & (blur_frame(weight, AROUND_PX) > HOLE)))
+    holes = np.ascontiguousarray(
+        np.argwhere(missing & ~_region(missing) & (blur_frame(weight, FILL_AROUND_PX) > HOLE))
+    )
     filled = np.empty((len(holes), 3))
     alike = np.exp(-np.square(np.arange(8.0)) / (4.0 * texture.spread_px2))
 

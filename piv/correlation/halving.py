@@ -31,7 +31,7 @@ exp(-d^2/(4 s^2)), so
 
     r^2 = 2 s^2 (e - e_0)(1 - C_before)/C_after
 
-is the mean square of a component, e_0 what following noise explains. It is the least that `piv.correlation.pair`
+is the mean square of a component, e_0 what following noise explains. It is the least that `piv.correlation.judge`
 says of their resolution: under noise nothing else shows it. By chance e differs from e_0 (`CHANCE` has both,
 measured in uniform flows), and where a frame shows no flow half of those differences are positive. So the mean x
 of e - e_0 over a usual window, without places that take the finest ones, counts by t^4/(1 + t^4). With x_0 the
@@ -52,7 +52,8 @@ from piv.correlation.passes import Measured, MultipassState, interpolate_nodes
 from piv.correlation.sizes import Sizes, blur_nodes, match_around, variance_px2
 from piv.correlation.windows import WindowGrid
 
-PROMISED, WIDE = 0.05, 0.21  # of what does not match; deviation of a window's weights in sides
+PROMISED = 0.05  # of what does not match
+WEIGHTS_WIDE = 0.21  # deviation of a window's weights in sides
 EXPLAINED = 0.15  # of what does not match: from here on halving counts
 CHANCE = (  # variance of a particle image [px^2]; what vectors explain by following their noise, and its deviation
     (0.14, 0.22, 0.4, 1.0, 3.8, 7.9),
@@ -62,7 +63,9 @@ CHANCE = (  # variance of a particle image [px^2]; what vectors explain by follo
 PIECES = 3.0  # particle images that the finest windows must hold
 JUDGED = 3  # side of what is judged together, in finest windows
 LIGHT_CELL_PX = 4  # light is added up over cells about as large as a particle image, at least
-LEFT_PX, LEFT_SHARE = 0.1, 0.03  # more fine vectors than this share moved by more: another pass
+# More fine vectors than this share moved by more: another pass
+LEFT_PX = 0.1
+LEFT_SHARE = 0.03
 
 Floats = NDArray[np.float64]
 
@@ -143,7 +146,7 @@ def clear_share_explained(
 def _gain_to_expect(apart_px: Floats, match: Floats, spread_px2: float, grid: WindowGrid, usual_px: int) -> bool:
     """Return whether a second trial may gain enough, by the difference (ny, nx, 2) that the first found."""
     most = match * np.square(apart_px).sum(axis=-1) / (4.0 * spread_px2 * np.maximum(1.0 - match, 1e-3))
-    around = blur_nodes(most, JUDGED * grid.size_px * WIDE / grid.step_px)
+    around = blur_nodes(most, JUDGED * grid.size_px * WEIGHTS_WIDE / grid.step_px)
     side = round(1.5 * usual_px / grid.step_px)
     return bool(scipy.ndimage.binary_opening(around > PROMISED, np.ones((side, side), bool)).any())
 

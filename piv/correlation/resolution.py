@@ -40,9 +40,11 @@ from numpy.typing import NDArray
 UNEVEN = 1.9
 TWICE_PX = 0.19
 THIN = 4.0  # pieces of the usual window where what lies beside an empty middle stands for it
-OTHERWISE, LOST_SHARE = 0.45, 0.1
+OTHERWISE = 0.45
+LOST_SHARE = 0.1
 NOISE_RANGE = 3.0  # range of nine normal deviates over their deviation
-FEW, ENOUGH = 4.0, 6.0  # over N^2: added to 1 where N pieces know their own spread; pieces that do
+FEW = 4.0  # over N^2: added to 1 where N pieces know their own spread
+ENOUGH_PIECES = 6.0  # pieces that do
 GAP = 3  # windows of 3 x 3
 LARGEST_PX = 1e6  # more than any displacement
 MATCHED = 0.75  # quantile
@@ -147,7 +149,7 @@ def unevenness(pieces: Floats, middle: Floats) -> Floats:
 def with_few_pieces(resolution_px: Floats, sigma_px: Floats, pieces: Floats) -> Floats:
     """Return the resolution error (ny, nx) that makes the total larger where N pieces are few.
 
-    By 1 + `FEW` (1/N^2 - 1/N_0^2), N_0 = `ENOUGH`.
+    By 1 + `FEW` (1/N^2 - 1/N_0^2), N_0 = `ENOUGH_PIECES`.
 
     A deviation that two or three particles tell is itself hardly known, as that of a t distribution of few degrees
     of freedom, whose standard deviation is larger (JCGM 101:2008, 6.4.9).
@@ -162,7 +164,7 @@ def with_few_pieces(resolution_px: Floats, sigma_px: Floats, pieces: Floats) -> 
         Independent pieces in a window.
     """
     random = np.square(sigma_px).mean(axis=-1)
-    few = np.maximum(pieces**-2.0 - ENOUGH**-2.0, 0.0)
+    few = np.maximum(pieces**-2.0 - ENOUGH_PIECES**-2.0, 0.0)
     growth = 1.0 + FEW * few
     total = np.square(resolution_px) + random
     return np.asarray(np.sqrt(total * growth**2 - random))

@@ -1,4 +1,4 @@
-"""Light that stands still behind a slow flow, told by what of two frames is free of it.
+"""Light that stands still behind a slow flow, measured by what of two frames is free of it.
 
 A static texture S that is as coarse as particle images draws vectors towards zero without any of them looking
 wrong. Of the transforms A = S + P exp(iq/2) and B = S + P exp(-iq/2) of a window, where particles P move by d and
@@ -32,10 +32,16 @@ from piv.correlation.vector_field import RESOLUTION_LENGTHS, VectorField, Vector
 from piv.errors import PairError
 
 Floats = NDArray[np.float64]
-SIDE_PX, STEP_PX = 32, 16  # of the windows that are transformed
-MOST_WINDOWS, FEWEST_WINDOWS = 400, 24
-SLOWEST_PX = 0.08  # displacement that tells something
-LOWEST, HIGHEST, RING = 0.3, 1.9, 0.16  # wave numbers [1/px] that particle images hold, and width of their rings
+# Of the windows that are transformed
+SIDE_PX = 32
+STEP_PX = 16
+MOST_WINDOWS = 400
+FEWEST_WINDOWS = 24
+LEAST_MOVED_PX = 0.08  # displacement that tells something
+# Wave numbers [1/px] that particle images hold, and width of their rings
+LOWEST = 0.3
+HIGHEST = 1.9
+RING = 0.16
 LARGEST_PHASE = 2.5  # of a wave: a longer way repeats itself
 UNEVEN_PX, UNEVEN_SHARE = (0.1, 1.0), 0.5  # change of vectors within a window, beyond which it has not one
 PLACES = 30  # waves that a ring needs
@@ -46,16 +52,26 @@ STRAIGHT, INCLINED, LINE_WAVES = (
     np.arange(3, 5),
     np.arange(3, 10),
 )  # numbers of waves across and along
-LINES, LEAST_LINES = 30.0, 0.3  # times the power of inclined waves that stands still; of that which moves
-LEAST_STRETCH, LEAST_EVIDENCE = 1.03, 8.0  # evidence: twice the logarithm of the likelihood over that of 1
-MOST_STRETCH, MOST_ADDED_PX = 1.25, 0.3  # with more, some windows show the texture and others the flow
-NEIGHBOURS = 5  # vectors along each side whose longest is what static light takes a share of
-BLOCK_PX, BLOCKS = 96, 4  # side of a block, and how many along each side of a frame
+LINES_OVER = 30.0  # times the power of inclined waves that stands still
+LEAST_LINES = 0.3  # of that which moves
+# Evidence: twice the logarithm of the likelihood over that of 1
+LEAST_STRETCH = 1.03
+LEAST_EVIDENCE = 8.0
+# With more, some windows show the texture and others the flow
+MOST_STRETCH = 1.25
+MOST_ADDED_PX = 0.3
+NEAR_VECTORS = 5  # vectors along each side whose longest is what static light takes a share of
+# Side of a block, and how many along each side of a frame
+BLOCK_PX = 96
+BLOCKS = 4
 _LENGTHS, _ANGLES = np.geomspace(0.3, 5.0, 12)[:, None], np.arange(16) * (np.pi / 8)
 TRIALS_PX = np.stack((_LENGTHS * np.cos(_ANGLES), _LENGTHS * np.sin(_ANGLES)), axis=-1).reshape(-1, 2)
-LONGER, LONGER_PX, HIDDEN_EVIDENCE = 1.8, 0.15, 30.0  # by which a displacement exceeds the vector; evidence for it
+# By which a displacement exceeds the vector; evidence for it
+LONGER = 1.8
+LONGER_PX = 0.15
+HIDDEN_EVIDENCE = 30.0
 LEAST_KEPT = 0.9  # of the valid vectors
-LEFT_OVER = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
+STRETCH_LEFT = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
 
 
 class Waves(NamedTuple):
@@ -90,7 +106,7 @@ def stretch_of(pair: Pair, field: VectorField) -> Stretch | None:
     if waves is None:
         return None
     has_lines = _has_lines(*_parts(waves, 1.0))
-    rings = _Rings(waves, _told(waves))
+    rings = _Rings(waves, _telling_waves(waves))
     as_it_is = rings.power(1.0)[1]
     # Most pairs end here: a small stretch already makes them less likely.
     if rings.power(LEAST_STRETCH)[1] >= as_it_is:
@@ -104,7 +120,7 @@ def stretch_of(pair: Pair, field: VectorField) -> Stretch | None:
     return Stretch(factor, waves, bool(is_short or has_lines))
 
 
-def hidden_share(pair: Pair, field: VectorField) -> float:
+def share_of_hidden_flow(pair: Pair, field: VectorField) -> float:
     """Share of blocks of a pair that a displacement far longer than its vectors explains far better."""
     found = []
     first = [
@@ -126,8 +142,11 @@ def hidden_share(pair: Pair, field: VectorField) -> float:
                 continue
             waves = _transform(pair, windows + np.array((row, column)), np.zeros((len(windows), 2)))
             misfit = [
-                _Rings(each, _told(waves)).power(1.0)[1]
-                for each in (_moved(waves, vector), *(_moved(waves, trial) for trial in TRIALS_PX))
+                _Rings(each, _telling_waves(waves)).power(1.0)[1]
+                for each in (
+                    _at_displacement(waves, vector),
+                    *(_at_displacement(waves, trial) for trial in TRIALS_PX),
+                )
             ]
             best = int(np.argmin(misfit[1:]))
             is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * np.linalg.norm(vector) + LONGER_PX
@@ -135,7 +154,7 @@ def hidden_share(pair: Pair, field: VectorField) -> float:
     return float(np.mean(found)) if found else 0.0
 
 
-def _moved(waves: Waves, vector_px: Floats) -> Waves:
+def _at_displacement(waves: Waves, vector_px: Floats) -> Waves:
     """The same windows, all with one displacement."""
     return waves._replace(vectors_px=np.broadcast_to(vector_px.astype(np.float32), waves.vectors_px.shape))
 
@@ -158,7 +177,7 @@ def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
         return None
 
 
-def stretched(field: VectorField, damped: VectorField | None) -> VectorField:
+def stretch_vectors(field: VectorField, damped: VectorField | None) -> VectorField:
     """Return vectors of a pair as it is or of its damped waves, stretched; none if they are too short.
 
     Parameters
@@ -174,8 +193,8 @@ def stretched(field: VectorField, damped: VectorField | None) -> VectorField:
         return without_vectors(field, field.valid, VectorFlag.REJECTED)
     # Where windows hold more of the texture than elsewhere, vectors are shorter still: those around them tell.
     length_px = np.where(field.valid, np.hypot(field.u_px, field.v_px), 0.0)
-    share = max(abs(field.stretch - 1.0), LEFT_OVER * hidden)
-    added_px = share * scipy.ndimage.maximum_filter(length_px, NEIGHBOURS)
+    share = max(abs(field.stretch - 1.0), STRETCH_LEFT * hidden)
+    added_px = share * scipy.ndimage.maximum_filter(length_px, NEAR_VECTORS)
     lengths = field.lengths
     more: dict[str, Any] = {
         name: np.hypot(lengths[name], added_px) for name in RESOLUTION_LENGTHS if name in lengths
@@ -203,7 +222,7 @@ def _waves(pair: Pair, field: VectorField) -> Waves | None:
     whole = np.array(
         [pair.valid[row : row + SIDE_PX, column : column + SIDE_PX].min() > 0.0 for row, column in places]
     )
-    moves = np.linalg.norm(vectors, axis=-1) > SLOWEST_PX
+    moves = np.linalg.norm(vectors, axis=-1) > LEAST_MOVED_PX
     usable = np.flatnonzero(even & whole & moves & (known > 0.5))
     if len(usable) < FEWEST_WINDOWS:
         return None
@@ -280,11 +299,11 @@ class _Rings:
         return power, INDEPENDENT * float((power * power * weights - 2.0 * power * fits).sum())
 
 
-def _told(waves: Waves) -> NDArray[np.bool_]:
-    """Return which waves (ky, kx) tell the stretch: those that particle images hold, and no sensor alone."""
+def _telling_waves(waves: Waves) -> NDArray[np.bool_]:
+    """Return which waves (ky, kx) show the stretch: those that particle images hold, and no sensor alone."""
     length, least = np.hypot(waves.ky, waves.kx), 1.5 * 2.0 * np.pi / SIDE_PX
-    told = (length > LOWEST) & (length < HIGHEST) & (np.abs(waves.ky) > least) & (waves.kx > least)
-    return np.asarray(told)
+    asked = (length > LOWEST) & (length < HIGHEST) & (np.abs(waves.ky) > least) & (waves.kx > least)
+    return np.asarray(asked)
 
 
 def _parts(waves: Waves, stretch: float) -> tuple[Floats, Floats]:
@@ -303,6 +322,6 @@ def _has_lines(moving: Floats, still: Floats) -> bool:
             part[np.ix_(which, LINE_WAVES)].mean()
             for part, which in ((stands, STRAIGHT), (stands, INCLINED), (moves, STRAIGHT))
         )
-        if along > LINES * inclined and along > LEAST_LINES * flow:
+        if along > LINES_OVER * inclined and along > LEAST_LINES * flow:
             return True
     return False

@@ -24,15 +24,22 @@ from numpy.typing import NDArray
 from piv.correlation.common_light import Known
 from piv.correlation.deform import DeformedPair
 
-CELL_PX, REACH_CELLS = 4, 3.0  # products are averaged over cells, and by a Gaussian
+# Products are averaged over cells, and by a Gaussian
+PRODUCT_CELL_PX = 4
+REACH_CELLS = 3.0
 MOST_PX = 1024  # side of the part of a frame that is asked
-APART_PX, INDEPENDENT_PX2 = 32, 1800.0  # between places whose directions are independent; area of one such place
+APART_PX = 32  # between places whose directions are independent
+INDEPENDENT_PX2 = 1800.0  # area of one such place
 LEAST_NODES = 24  # vectors that must be known
 SHORT = 2.0  # deviations of the images' correlation: one peak
 REST_PX = 0.02  # error of short vectors
-VARIANCE, POSITIVE = 0.3, 0.8  # of m^2; share of the places that must show it
-DIRECTED, CLEAR = 0.15, 3.8  # of m^2, along any direction; chance deviations
-ALONG, CLEAR_ALONG = 0.08, 3.5  # the same, along the vectors
+VARIANCE = 0.3  # of m^2
+POSITIVE = 0.8  # share of the places that must show it
+DIRECTED = 0.15  # of m^2, along any direction
+CLEAR_DEVIATIONS = 3.8  # chance deviations
+# The same, along the vectors
+ALONG = 0.08
+CLEAR_ALONG = 3.5
 
 Floats = NDArray[np.float64]
 
@@ -84,7 +91,7 @@ def share_at_rest(pair: DeformedPair, known: Known, spread_px2: float) -> float:
         for each in (beside, with_vectors)
     ]
     ratios += [np.sqrt(max(np.median(products), 0.0)) / square, np.median(lengths) / square]
-    both = np.hypot(*np.maximum(clear, 0.0)) > CLEAR and clear[1] > -1.0 and max(ratios[1:]) > DIRECTED
+    both = np.hypot(*np.maximum(clear, 0.0)) > CLEAR_DEVIATIONS and clear[1] > -1.0 and max(ratios[1:]) > DIRECTED
     is_mixed += [both, both or (clear[1] > CLEAR_ALONG and ratios[2] > ALONG)]
     ratio = max((float(one) for one, mixed in zip(ratios, is_mixed, strict=True) if mixed), default=0.0)
     return ratio / (1.0 + ratio)
@@ -110,10 +117,10 @@ def mixture_at(pair: DeformedPair, y_px: Floats, x_px: Floats, spread_px2: float
     part = slice(top, bottom), slice(left, right)
     both, apart = ((pair.b[part] + sign * pair.a[part]) * pair.valid[part] for sign in (1.0, -1.0))
     height, width = both.shape
-    size = width // CELL_PX, height // CELL_PX
+    size = width // PRODUCT_CELL_PX, height // PRODUCT_CELL_PX
     at = np.ix_(
         *(
-            np.clip(np.floor((place - first) / CELL_PX), 0, count - 1).astype(int)
+            np.clip(np.floor((place - first) / PRODUCT_CELL_PX), 0, count - 1).astype(int)
             for place, first, count in ((y_px, top, size[1]), (x_px, left, size[0]))
         )
     )
@@ -123,7 +130,9 @@ def mixture_at(pair: DeformedPair, y_px: Floats, x_px: Floats, spread_px2: float
         here, there = slice(0, width - abs(across)), slice(abs(across), width)
         one, other = (here, there) if across >= 0 else (there, here)
         np.multiply(frame[: height - down, one], frame[down:, other], out=whole[: height - down, one])
-        cells = cv2.resize(whole[: size[1] * CELL_PX, : size[0] * CELL_PX], size, interpolation=cv2.INTER_AREA)
+        cells = cv2.resize(
+            whole[: size[1] * PRODUCT_CELL_PX, : size[0] * PRODUCT_CELL_PX], size, interpolation=cv2.INTER_AREA
+        )
         return np.asarray(cv2.GaussianBlur(cells, (0, 0), REACH_CELLS)[at], np.float64)
 
     width_px2 = 2.0 * spread_px2  # of the correlation

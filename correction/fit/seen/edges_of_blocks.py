@@ -32,17 +32,30 @@ from tracer.scene.scene import Scene
 from tracer.strategies.branches import DIRECT
 from tracer.strategies.trace import trace
 
-SEARCH_SIGMAS, LEAST_PX = 4.0, 4.0  # how far from its predicted place a side is looked for
-MOST_GAIN, EVEN_GAIN = 12.5, 2.0  # of z^2 / 2: one pixel counts no more; below this it is taken for undisturbed
-OUTSIDE_PX, INSIDE_PX, PIECE_PX = 6.0, 3.0, 6.0  # beside a line that is fitted, and pieces of one brightness
-MIN_LENGTH_PX, MIN_PIXELS = 30.0, 100  # of a side that can be fitted
+# How far from its predicted place a side is looked for
+SEARCH_SIGMAS = 4.0
+LEAST_PX = 4.0
+MOST_GAIN = 12.5  # of z^2 / 2: one pixel counts no more
+EVEN_GAIN = 2.0  # below this it is taken for undisturbed
+# Beside a line that is fitted, and pieces of one brightness
+OUTSIDE_PX = 6.0
+INSIDE_PX = 3.0
+PIECE_PX = 6.0
+# Of a side that can be fitted
+MIN_LENGTH_PX = 30.0
+MIN_PIXELS = 100
 END_PX = 6.0  # left out at both ends of a side, beside what it may move
-NARROW_PX, NARROW_EDGE_PX = 1.5, 0.3  # width of a ground edge as seen, below which the light of the face mixes in
+# Width of a ground edge as seen, below which the light of the face mixes in
+NARROW_PX = 1.5
+NARROW_EDGE_PX = 0.3
 OTHER_EDGE_PX = 1.5  # another edge so near could be the one that is seen
 EDGE_FLOOR_PX = 0.05  # ground edges are not straight, and pixels not even, to better
 LEAST_INSIDE_PX = 1.0
 NOISE_BINS = 6
-WIDEST_BLUR_PX, NARROWEST_BLUR_PX, FIRST_BLUR_PX = 4.0, 0.3, 0.7  # blur
+# Blur
+WIDEST_BLUR_PX = 4.0
+NARROWEST_BLUR_PX = 0.3
+FIRST_BLUR_PX = 0.7
 MIN_STEP_SIGMAS = 10.0  # of the light at a side, from which it is seen
 
 

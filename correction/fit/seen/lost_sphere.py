@@ -35,11 +35,14 @@ MIN_EXPLAINED_SHARE = (
 SHARP_PX = 0.4  # saddles are good to 0.1-0.3 corrected px
 KNEES_PX = (6.0, 6.0, 3.0, 3.0, 1.0, 1.0, 0.5, 0.5)  # of the loss, step by step
 LEFT = (1.0, 0.4, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0)  # share of the places that go on after each step, the cheaper ones
-STRIDE, STRIDE_Z = 0.16, 0.6  # of the raster sideways and along z, in squares
+# Of the raster sideways and along z, in squares
+STRIDE = 0.16
+STRIDE_Z = 0.6
 REACH = 1.6  # of the raster, in sigmas of the prior
 CANDIDATE_SLACK = 0.5  # squares that a place may move by while it has the same candidates
 MAX_RASTER_STEPS = 7  # steps of the raster each way at most
-SAME_MM, NOTHING_MM = 0.05, 1e-6  # places that are one; radius of a sphere that is not there
+SAME_MM = 0.05  # places that are one
+NOTHING_MM = 1e-6  # radius of a sphere that is not there
 TRIES = 6  # places that are measured
 
 

@@ -30,7 +30,9 @@ from tracer.scene.scene import Scene
 from tracer.strategies.branches import DIRECT
 from tracer.strategies.trace import trace
 
-COMMON_MM, OWN_MM = 4.0, 2.0  # standard deviation of a move of all balls together, and of one by itself
+# Standard deviation of a move of all balls together, and of one by itself
+COMMON_MM = 4.0
+OWN_MM = 2.0
 KEPT_GAP_MM = 0.2  # standard deviation of the gap that opens between balls that touch
 SOFT, SHARP = (2.0, 1.0, 0.4), 0.2  # width of the outline, in squares
 WRONG = 0.3  # standard deviation of a label: corners are missed, and found by chance

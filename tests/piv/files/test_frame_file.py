@@ -56,7 +56,7 @@ def bad_files(folder, frame):
     ("name", "words"),
     [
         ("truncated.tif", "damaged"),
-        ("empty.tif", "damaged"),
+        ("empty.tif", "is empty; copy it"),
         ("noise.tif", "damaged"),
         ("stack.tif", "pages"),
         ("half.tif", "float16"),
