@@ -10,6 +10,7 @@ from correction.fit.solve.solver import minimise
 from correction.fit.solve.unknowns import unknowns_of
 from tests.correction.fit.benches import photograph
 from tests.correction.fit.test_blocks_found import BASE, BLOCKS, SQUARE_MM
+from tests.slow_cases import slow
 from tracer.bodies import Box
 from tracer.scene.fit_section import FitTable, FitWallTable
 from tracer.scene.scene import Scene
@@ -27,7 +28,7 @@ def outline_distance_px(scene: Scene, ends: tuple[int, int], pixel: tuple[float,
     return float(abs(x * ay - y * ax))
 
 
-@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize("seed", [21, slow(22)])
 def test_edges_of_a_box_are_found_a_millimetre_beside_their_file(seed: int) -> None:
     rng = np.random.default_rng(seed)
     box = BLOCKS["box"]

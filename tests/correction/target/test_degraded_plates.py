@@ -15,6 +15,7 @@ from correction.target.corners import CornerSearch
 from correction.target.dot_centres import refine_dots
 from tests.correction.target.drawn_plates import drawn
 from tests.correction.target.photographed_plates import photograph
+from tests.slow_cases import slow
 from tracer.board import Dots
 
 SEED = 13  # staggered rows on two levels, a square and a triangle
@@ -64,7 +65,7 @@ def test_a_triangle_that_light_hides_is_told_by_the_camera_and_else_refused():
     assert len(found) > 200
 
 
-@pytest.mark.parametrize("seed", [400, 406])  # walls that join dots; shadows beside the square
+@pytest.mark.parametrize("seed", [slow(400), 406])  # walls that join dots; shadows beside the square
 def test_walls_of_a_bright_plate_hide_neither_dots_nor_the_triangle(seed):
     image, made, view, _ = photograph(seed, bright_dots=False)
     found = find_board(image, made.board)
