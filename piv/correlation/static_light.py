@@ -32,10 +32,13 @@ from piv.correlation.vector_field import RESOLUTION_LENGTHS, VectorField, Vector
 from piv.errors import PairError
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Numbers = NDArray[np.int64]
 # Of the windows that are transformed
 SIDE_PX = 32
 STEP_PX = 16
 MOST_WINDOWS = 400
+MOST_ASKED = 1600  # whether they are whole, and move as one
 FEWEST_WINDOWS = 24
 LEAST_MOVED_PX = 0.08  # displacement that tells something
 # Wave numbers [1/px] that particle images hold, and width of their rings
@@ -105,8 +108,8 @@ def stretch_of(pair: Pair, field: VectorField) -> Stretch | None:
     waves = _waves(pair, field)
     if waves is None:
         return None
-    has_lines = _has_lines(*_parts(waves, 1.0))
-    rings = _Rings(waves, _telling_waves(waves))
+    has_lines = _has_lines(*_powers(waves, 1.0))
+    rings = _rings_of(waves, _parts_of(waves, _telling_waves(waves)))
     as_it_is = rings.power(1.0)[1]
     # Most pairs end here: a small stretch already makes them less likely.
     if rings.power(LEAST_STRETCH)[1] >= as_it_is:
@@ -141,12 +144,11 @@ def share_of_hidden_flow(pair: Pair, field: VectorField) -> float:
             if not np.isfinite(vector).all():
                 continue
             waves = _transform(pair, windows + np.array((row, column)), np.zeros((len(windows), 2)))
+            parts = _parts_of(waves, _telling_waves(waves))
+            even, odd = parts.even.mean(axis=0), parts.cross.imag.mean(axis=0)
             misfit = [
-                _Rings(each, _telling_waves(waves)).power(1.0)[1]
-                for each in (
-                    _at_displacement(waves, vector),
-                    *(_at_displacement(waves, trial) for trial in TRIALS_PX),
-                )
+                _Rings(u * parts.kx + v * parts.ky, even, odd, parts.ring, len(windows)).power(1.0)[1]
+                for u, v in np.array((vector, *TRIALS_PX), np.float32)
             ]
             best = int(np.argmin(misfit[1:]))
             is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * np.linalg.norm(vector) + LONGER_PX
@@ -154,16 +156,11 @@ def share_of_hidden_flow(pair: Pair, field: VectorField) -> float:
     return float(np.mean(found)) if found else 0.0
 
 
-def _at_displacement(waves: Waves, vector_px: Floats) -> Waves:
-    """The same windows, all with one displacement."""
-    return waves._replace(vectors_px=np.broadcast_to(vector_px.astype(np.float32), waves.vectors_px.shape))
-
-
 def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
     """Damp the waves in which a texture stands still; None if nothing is left."""
     import cv2
 
-    moving, still = _parts(stretch.waves, stretch.factor)
+    moving, still = _powers(stretch.waves, stretch.factor)
     gain = np.divide(moving, moving + still, out=np.ones_like(moving), where=moving + still > 0.0)
     gain = scipy.ndimage.gaussian_filter(gain, 0.5, mode="nearest")
     kernel = np.fft.fftshift(np.fft.irfft2(gain, (SIDE_PX, SIDE_PX)))[1:, 1:]  # odd, so that it moves nothing
@@ -188,7 +185,11 @@ def stretch_vectors(field: VectorField, damped: VectorField | None) -> VectorFie
     hidden = abs(field.stretch - 1.0)
     if damped is not None and damped.valid_share > LEAST_KEPT * field.valid_share:
         short, left = (abs(np.log(each.stretch)) for each in (field, damped))
-        field = replace(damped, static_share=field.static_share) if left <= short else field
+        field = (
+            replace(damped, static_share=field.static_share, nan_pixels=field.nan_pixels)
+            if left <= short
+            else field
+        )
     if field.stretch > MOST_STRETCH:
         return without_vectors(field, field.valid, VectorFlag.REJECTED)
     # Where windows hold more of the texture than elsewhere, vectors are shorter still: those around them tell.
@@ -212,6 +213,7 @@ def _waves(pair: Pair, field: VectorField) -> Waves | None:
         return None
     first = [np.arange(0, side - SIDE_PX + 1, STEP_PX) for side in pair.a.shape]
     places = np.stack(np.meshgrid(*first, indexing="ij"), axis=-1).reshape(-1, 2)
+    places = places[:: -(-len(places) // MOST_ASKED)]
     middle = places + (SIDE_PX - 1) / 2
     filled = fill_gaps(np.stack((field.u_px, field.v_px), axis=-1), good)[0]
     values = np.concatenate((filled, good[..., None].astype(np.float64)), axis=-1)
@@ -265,38 +267,60 @@ def _between(field: VectorField, values: Floats, places: NDArray[Any]) -> Floats
 
 
 class _Rings:
-    """Waves by rings of their length, to which the power that moves is fitted."""
+    """Waves by rings of their length, to which the power that moves is fitted.
 
-    def __init__(self, waves: Waves, asked: NDArray[np.bool_]) -> None:
-        u, v = (waves.vectors_px[:, axis, None] for axis in range(2))
-        self.phase = u * waves.kx[asked] + v * waves.ky[asked]
-        self.counts = np.abs(self.phase) < LARGEST_PHASE
-        self.cross = waves.a[:, asked] * np.conj(waves.b[:, asked])
-        length = np.hypot(waves.ky, waves.kx)[asked]
-        self.ring = np.rint((length - length.min()) / RING).astype(np.int64)
-        self.rings = np.broadcast_to(self.ring, self.counts.shape)[self.counts]
-        self.size = int(self.ring.max()) + 1
-        self.even = (0.5 * np.square(np.abs(waves.a[:, asked] - waves.b[:, asked])))[self.counts]
-        self.odd = self.cross.imag[self.counts]
-        self.number = np.maximum(np.bincount(self.rings, minlength=self.size), 1)
-        self.mean = self._total(self.even) / self.number
+    Of `number` windows in which each wave moves by the same phase the means are given, else each is for itself.
+    """
+
+    def __init__(self, phase: Floats32, even: Floats32, odd: Floats32, ring: Numbers, number: int = 1) -> None:
+        kept = np.abs(phase) < LARGEST_PHASE
+        self.phase, self.even, self.odd = phase[kept], even[kept], odd[kept]
+        self.ring, self.number = np.broadcast_to(ring, phase.shape)[kept], number
+        self.size = int(ring.max()) + 1
+        self.count = np.maximum(np.bincount(self.ring, minlength=self.size), 1)
+        self.mean = self._total(self.even) / self.count
         # An even part is the square of noise, distributed as its own mean.
-        self.variances = np.square(self.mean) + 1e-30, self._total(np.square(self.odd)) / self.number + 1e-30
+        self.even_variance = np.square(self.mean) / number + 1e-30
+        self.odd_variance = self._total(np.square(self.odd)) / self.count + 1e-30
 
     def _total(self, values: NDArray[Any]) -> Floats:
-        return np.bincount(self.rings, values, self.size).astype(np.float64)
+        return np.bincount(self.ring, values, self.size).astype(np.float64)
 
     def power(self, stretch: float) -> tuple[Floats, float]:
         """Fit the power of each ring that moves; also return minus twice the logarithm of the likelihood."""
-        phase = np.float32(stretch) * self.phase[self.counts]
+        phase = np.float32(stretch) * self.phase
         sine, rise = np.sin(phase), 1.0 - np.cos(phase)
         rises = self._total(rise)
-        fits = (self._total(rise * self.even) - rises * self.mean) / self.variances[0]
-        fits += self._total(sine * self.odd) / self.variances[1]
-        weights = (self._total(np.square(rise)) - np.square(rises) / self.number) / self.variances[0]
-        weights = np.maximum(weights + self._total(np.square(sine)) / self.variances[1], 1e-30)
-        power = np.where(self.number > PLACES, np.maximum(fits, 0.0) / weights, 0.0)
+        fits = (self._total(rise * self.even) - rises * self.mean) / self.even_variance
+        fits += self._total(sine * self.odd) / self.odd_variance
+        weights = (self._total(np.square(rise)) - np.square(rises) / self.count) / self.even_variance
+        weights = np.maximum(weights + self._total(np.square(sine)) / self.odd_variance, 1e-30)
+        power = np.where(self.count * self.number > PLACES, np.maximum(fits, 0.0) / weights, 0.0)
         return power, INDEPENDENT * float((power * power * weights - 2.0 * power * fits).sum())
+
+
+class _Parts(NamedTuple):
+    """Even and odd parts and the cross spectrum (n, waves) of windows, wave numbers and rings (waves,)."""
+
+    even: Floats32
+    cross: NDArray[np.complex64]
+    kx: Floats32
+    ky: Floats32
+    ring: Numbers
+
+
+def _parts_of(waves: Waves, asked: NDArray[np.bool_]) -> _Parts:
+    """Parts of some waves (ky, kx)."""
+    a, b, kx, ky = waves.a[:, asked], waves.b[:, asked], waves.kx[asked], waves.ky[asked]
+    length = np.hypot(kx, ky)
+    ring = np.rint((length - length.min()) / RING).astype(np.int64)
+    return _Parts(np.float32(0.5) * np.square(np.abs(a - b)), a * np.conj(b), kx, ky, ring)
+
+
+def _rings_of(waves: Waves, parts: _Parts) -> _Rings:
+    """Rings of windows that move by their vectors."""
+    u, v = (waves.vectors_px[:, axis, None] for axis in range(2))
+    return _Rings(u * parts.kx + v * parts.ky, parts.even, parts.cross.imag, parts.ring)
 
 
 def _telling_waves(waves: Waves) -> NDArray[np.bool_]:
@@ -306,12 +330,15 @@ def _telling_waves(waves: Waves) -> NDArray[np.bool_]:
     return np.asarray(asked)
 
 
-def _parts(waves: Waves, stretch: float) -> tuple[Floats, Floats]:
+def _powers(waves: Waves, stretch: float) -> tuple[Floats, Floats]:
     """Power (ky, kx) of each wave that moves, and that stands still."""
-    rings = _Rings(waves, np.ones(waves.ky.shape, bool))
-    moving = rings.power(stretch)[0][rings.ring]
-    left = np.where(rings.counts, rings.cross.real - moving * np.cos(stretch * rings.phase), 0.0)
-    still = np.maximum(left.sum(axis=0) / np.maximum(rings.counts.sum(axis=0), 1), 0.0)
+    parts = _parts_of(waves, np.ones(waves.ky.shape, bool))
+    moving = _rings_of(waves, parts).power(stretch)[0][parts.ring]
+    u, v = (waves.vectors_px[:, axis, None] for axis in range(2))
+    phase = u * parts.kx + v * parts.ky
+    counts = np.abs(phase) < LARGEST_PHASE
+    left = np.where(counts, parts.cross.real - moving * np.cos(stretch * phase), 0.0)
+    still = np.maximum(left.sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 0.0)
     return moving.reshape(waves.ky.shape), still.reshape(waves.ky.shape)
 
 
