@@ -233,7 +233,6 @@ def _run_passes(
         known = Known(course.grid, course.found.vectors_px, course.found.correlation)
         believed = known._replace(vectors_px=np.where(course.found.good[..., None], known.vectors_px, np.nan))
         lag = lag_of_coarse_light(course.deformed, believed, spread_px2, threads)
-        # Where vectors are long, they tell
         at_rest = 0.0 if still_share < SUSPECT else share_at_rest(course.deformed, believed, spread_px2)
         if not is_damped:
             common = without_common_light(suspect, known, settings.min_valid, threads, lag)
@@ -260,7 +259,9 @@ def _run_passes(
         still_share = common.share
     field = _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
     del course
-    stretch = None if suspect is None else stretch_of(suspect, field)
+    # Where vectors are long, they tell whether light stands still.
+    asks = suspect is not None and not still_share < SUSPECT
+    stretch = stretch_of(suspect, field) if asks and suspect is not None else None
     if is_damped:
         factor = 1.0 if stretch is None else stretch.factor
         return replace(field, stretch=float("inf") if at_rest else factor)

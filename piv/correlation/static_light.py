@@ -58,8 +58,8 @@ STRAIGHT, INCLINED, LINE_WAVES = (
 LINES_OVER = 30.0  # times the power of inclined waves that stands still
 LEAST_LINES = 0.3  # of that which moves
 # Evidence: twice the logarithm of the likelihood over that of 1
-LEAST_STRETCH = 1.03
-LEAST_EVIDENCE = 8.0
+LEAST_STRETCH = 1.05
+LEAST_EVIDENCE = 12.0
 # With more, some windows show the texture and others the flow
 MOST_STRETCH = 1.25
 MOST_ADDED_PX = 0.3
