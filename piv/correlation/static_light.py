@@ -67,6 +67,7 @@ NEAR_VECTORS = 5  # vectors along each side whose longest is what static light t
 # Side of a block, and how many along each side of a frame
 BLOCK_PX = 96
 BLOCKS = 4
+BLOCK_SPREAD_PX = 0.3  # of the vectors in it, from their lowest to their highest tenth
 _LENGTHS, _ANGLES = np.geomspace(0.3, 5.0, 12)[:, None], np.arange(16) * (np.pi / 8)
 TRIALS_PX = np.stack((_LENGTHS * np.cos(_ANGLES), _LENGTHS * np.sin(_ANGLES)), axis=-1).reshape(-1, 2)
 # By which a displacement exceeds the vector; evidence for it
@@ -135,13 +136,17 @@ def share_of_hidden_flow(pair: Pair, field: VectorField) -> float:
         for column in first[1]:
             if pair.valid[row : row + BLOCK_PX, column : column + BLOCK_PX].min() == 0.0:
                 continue
-            middle = (
-                np.argmin(np.abs(nodes - start - BLOCK_PX / 2))
+            within = (
+                (nodes > start) & (nodes < start + BLOCK_PX)
                 for nodes, start in ((field.y_px, row), (field.x_px, column))
             )
-            at = tuple(middle)
-            vector = np.array((field.u_px[at], field.v_px[at]))
-            if not np.isfinite(vector).all():
+            at = np.ix_(*within)
+            vectors = np.stack((field.u_px[at], field.v_px[at]), axis=-1)[field.valid[at]]
+            vector = np.median(vectors, axis=0) if len(vectors) else np.full(2, np.nan)
+            spread_px = np.ptp(np.quantile(vectors, (0.1, 0.9), axis=0), axis=0).max() if len(vectors) else np.inf
+            # Beside a jet the fluid at rest has a far longer vector within the block as well.
+            if spread_px > BLOCK_SPREAD_PX + UNEVEN_SHARE * np.linalg.norm(vector):
+                found.append(False)
                 continue
             waves = _transform(pair, windows + np.array((row, column)), np.zeros((len(windows), 2)))
             parts = _parts_of(waves, _telling_waves(waves))

@@ -68,3 +68,28 @@ def test_flows_before_nothing_are_not_stretched(name, image):
     for seed in (1, 2, 3):
         a, b, _ = slow_pair(seed, name, image=image)
         assert evaluate_pair(a, b, threads=1).stretch == 1.0
+
+
+def narrow_jet(rng, side):
+    """A jet of half a window beside a fluid at rest, which its fluctuations move to and fro."""
+    k, phase = rng.normal(size=(16, 2)) * 2.0 * np.pi / 60.0, rng.uniform(0.0, 6.3, 16)
+    height = 0.15 * rng.normal(size=16)
+
+    def flow(x, y):
+        core = np.exp(-(((x - side / 2) / 22.0) ** 2))
+        along = (height * np.cos(x[..., None] * k[:, 0] + y[..., None] * k[:, 1] + phase)).sum(-1)
+        across = (height * np.sin(x[..., None] * k[:, 1] - y[..., None] * k[:, 0] + phase)).sum(-1)
+        return 2.0 * core * across, core * (4.0 + 5.0 * along)
+
+    return flow
+
+
+@pytest.mark.parametrize("seed", [0, slow(4), slow(9)])
+def test_a_narrow_jet_beside_a_fluid_at_rest_hides_nothing(seed):
+    """Its blocks hold two motions, and longer displacements than their middle: the pair was refused."""
+    rng, side = np.random.default_rng([seed, 7]), 512
+    flow = narrow_jet(rng, side)
+    lights = light_of_particles(rng, flow, side, spread_px=0.9, density=0.03, peak=90.0, through=0.1)
+    field = evaluate_pair(*sensor(rng, lights), threads=1)
+    assert field.stretch == 1.0
+    assert field.valid_share > 0.95
