@@ -16,7 +16,7 @@ STILL = "still, points", "still, coarse"
         ("still, points", "vortex", 4101),
         slow("still, coarse", "uniform", 4100),
         slow("still, points", "turbulence", 4101),
-        ("still, hot", "jet", 4200),
+        ("still, hot", "shear", 4200),
     ],
 )
 def test_a_flow_that_still_light_outshines_has_no_silent_vector(kind, name, seed):
