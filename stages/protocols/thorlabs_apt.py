@@ -21,20 +21,26 @@ tell it; each example names its own. None of it was confirmed on hardware by thi
 """
 
 from stages.errors import ProtocolViolation
-from stages.protocols.apt_answers import (
+from stages.protocols.apt_messages import (
     ANSWERS,
+    COMMANDS,
+    HEAD,
     Answer,
+    Command,
     Homing,
     Info,
+    Order,
     Reply,
+    SetSpeeds,
+    Setting,
     Speeds,
     Status,
     Unasked,
     Value,
+    header_of,
     parse_answer,
+    parse_command,
 )
-from stages.protocols.apt_bytes import header_of, number_bytes
-from stages.protocols.apt_commands import COMMANDS, Command, Order, SetSpeeds, Setting, parse_command
 from stages.protocols.apt_words import (
     HEADER,
     HOST,
@@ -94,7 +100,7 @@ class IdentityStream:
     """
 
     def __init__(self, sender: int) -> None:
-        self._head = number_bytes(Kind.HW_GET_INFO, 2) + number_bytes(84, 2) + bytes((HOST | WITH_DATA, sender))
+        self._head = HEAD.pack(Kind.HW_GET_INFO, Info.layout.size.to_bytes(2, "little"), HOST | WITH_DATA, sender)
         self._behind: AnswerStream | None = None
         self._before = b""
 

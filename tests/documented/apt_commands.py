@@ -1,6 +1,6 @@
-"""Documented messages of `stages.protocols.apt_commands`."""
+"""Documented commands among `stages.protocols.apt_messages`."""
 
-from stages.protocols.apt_commands import Order, SetSpeeds, Setting
+from stages.protocols.apt_messages import Order, SetSpeeds, Setting
 from stages.protocols.apt_words import FIRST_BAY, ON, RACK, Kind
 from tests.documented import Example
 

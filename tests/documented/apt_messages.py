@@ -1,8 +1,9 @@
-"""Documented messages of `stages.protocols.apt_answers`."""
+"""Documented messages of `stages.protocols.apt_messages`."""
 
-from stages.protocols.apt_answers import Homing, Info, Reply, Speeds, Status, Unasked, Value
+from stages.protocols.apt_messages import Homing, Info, Reply, Speeds, Status, Unasked, Value
 from stages.protocols.apt_words import ENABLED, HOMED, LOWER_SWITCH, OFF, ON, RACK, Kind
 from tests.documented import Example
+from tests.documented.apt_commands import EXAMPLES as COMMANDS
 from tests.documented.apt_commands import MANUAL, PROTOCOL, PUBLISHED
 
 RECORDED = "a K10CR1, as the tests of pnpq quote it"
@@ -23,6 +24,7 @@ INFO_SAMPLE = bytes.fromhex("0600 5400 8122 89539A05 494F4E3030312000 2C00 02013
 INFO_SAMPLE += bytes.fromhex("0100 0300 0100")
 UNASKED_MOVED = b"\x01\x00\xe8\x03\x00\x00\xcd\x00\x00\x00\x00\x00\x00\x00"
 EXAMPLES = (
+    *COMMANDS,
     Example(
         b"\x12\x02\x01\x02\x01\x50",
         Reply(Kind.MOD_GET_CHANENABLESTATE, 1, OFF),
