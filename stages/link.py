@@ -13,7 +13,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 from stages.clock import Clock
 from stages.errors import DeviceLost, NoReply, PortUnavailable, ProtocolViolation, WrongDevice
@@ -51,6 +51,7 @@ class Link(ABC):
     """
 
     reply_timeout_s: float = 0.5
+    decoder: ClassVar[Callable[[], Stream]]  # made for each answer
     first_day: str = ""  # what else may be wrong with a box that has never answered, as a sentence
 
     def __init__(self, name: str, clock: Clock) -> None:
@@ -110,9 +111,9 @@ class Link(ABC):
     def _identify(self) -> str:
         """Ask who answers; also the fence after which no older answer can come."""
 
-    @abstractmethod
     def _stream(self) -> Stream:
         """Decoder for the next answer."""
+        return type(self).decoder()
 
     def _take_drained(self, data: bytes) -> None:  # noqa: B027 - most protocols have no alarms
         """Look at what was swallowed before a fence; alarms must not get lost there."""

@@ -78,8 +78,5 @@ class HandScrews(Emulator):
         built = motor.mechanics
         return built.power_up_mm + motor.encoder_steps * built.lead_mm / built.steps_per_rev
 
-    def _take(self, data: bytes) -> None:
-        """There are no bytes."""
-
 
 EMULATOR = HandScrews

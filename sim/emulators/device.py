@@ -6,13 +6,13 @@ banner where the box has one. Carriages do not care: they stand where they stood
 """
 
 import math
-from abc import ABC, abstractmethod
 from bisect import insort
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 from zlib import crc32
 
 from sim.mechanics.motion import Motor
+from stages.link import Stream
 
 
 def serial_number(name: str) -> int:
@@ -37,7 +37,7 @@ class TimedReply(NamedTuple):
     data: bytes
 
 
-class Emulator(ABC):
+class Emulator:
     """Base of all emulators.
 
     Parameters
@@ -49,6 +49,7 @@ class Emulator(ABC):
     """
 
     has_serial: ClassVar[bool] = False  # a number by which its protocol distinguishes it from another of its kind
+    decoder: ClassVar[Callable[[], Stream] | None] = None  # of what a host says; begun anew with the power
     zero_at_top: ClassVar[bool] = False  # the controller's coordinate is zero at the upper switch
 
     def __init__(self, motors: Mapping[str, Motor], clock: Clock) -> None:
@@ -61,6 +62,7 @@ class Emulator(ABC):
         self._is_on = True
         self._on_again_s: float | None = None
         self.event_s = clock.now_s()  # moment of what firmware reacts to
+        self._decode_anew()
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
@@ -123,6 +125,7 @@ class Emulator(ABC):
     def switch_on(self) -> None:
         """Power is back."""
         self._is_on, self._on_again_s = True, None
+        self._decode_anew()
         self._power_up()
 
     @property
@@ -130,7 +133,7 @@ class Emulator(ABC):
         """Return whether it has power."""
         return self._is_on
 
-    def person_stops(self) -> None:  # noqa: B027 - not every box has a button
+    def person_stops(self) -> None:
         """Stop what moves as a person does, at the box or through another of its interfaces."""
 
     def purpose(self, channel: str) -> Purpose:
@@ -156,24 +159,33 @@ class Emulator(ABC):
         """Return the listener of one motor for firmware that judges all motors in one place."""
         return MotorListener(self, channel)
 
-    def edge(self, channel: str, name: str, upwards: bool) -> None:  # noqa: B027 - for firmware that hears
+    def edge(self, channel: str, name: str, upwards: bool) -> None:
         """A motor's carriage crosses an edge."""
 
-    def rest(self, channel: str) -> None:  # noqa: B027
+    def rest(self, channel: str) -> None:
         """A motor has come to rest by itself."""
 
     def act_at(self, time_s: float) -> None:
         """See that `_tick` is called at a moment to come."""
         insort(self._due_s, time_s)
 
-    def _power_up(self) -> None:  # noqa: B027 - what holds nothing has nothing to forget
+    def _power_up(self) -> None:
         """Begin as after power-up: whatever is not kept in permanent memory is forgotten."""
 
-    @abstractmethod
+    def _decode_anew(self) -> None:
+        """Forget the beginning of a command."""
+        decoder = type(self).decoder
+        self._stream = None if decoder is None else decoder()
+
     def _take(self, data: bytes) -> None:
         """Act on bytes of the host."""
+        for command in () if self._stream is None else self._stream.feed(data):
+            self._hear(command)
 
-    def _tick(self, now_s: float) -> None:  # noqa: B027 - most firmware only reacts
+    def _hear(self, command: Any) -> None:  # noqa: ANN401 - what its decoder makes
+        """Act on a command, or on what is none."""
+
+    def _tick(self, now_s: float) -> None:
         """Do what is due without having been asked."""
 
 

@@ -152,9 +152,6 @@ class ForeignBox(Emulator):
         for one in self._channels.values():
             one.zero, one.seeks = self._read(one), ""
 
-    def _take(self, data: bytes) -> None:
-        """There are no bytes."""
-
 
 class Wire:
     """Connection of a simulated library: a line of this process with the box at its end.

@@ -61,6 +61,7 @@ class GrblEmulator(Emulator):
         What its owner wrote with ``$I=``; empty on a new board.
     """
 
+    decoder = grbl.CommandStream
     zero_at_top = True
 
     def __init__(
@@ -132,7 +133,6 @@ class GrblEmulator(Emulator):
         self.act_at(self._boots_until_s)
 
     def _forget(self) -> None:
-        self._stream = grbl.CommandStream()
         self._zero = {name: motor.steps for name, motor in self.motors.items()}
         self._state = "Alarm" if self.settings[22] else "Idle"
         self._mute = False  # in the alarm of a hard limit
@@ -154,18 +154,19 @@ class GrblEmulator(Emulator):
     # ---- input ---------------------------------------------------------------------------------
 
     def _take(self, data: bytes) -> None:
-        if self._boots_until_s is not None:
+        if self._boots_until_s is None:
+            super()._take(data)
+
+    def _hear(self, command: grbl.Line | grbl.RealTime | ProtocolViolation) -> None:
+        if isinstance(command, grbl.RealTime):
+            self._real_time(command.code)
+        elif self._mute:
             return
-        for command in self._stream.feed(data):
-            if isinstance(command, grbl.RealTime):
-                self._real_time(command.code)
-            elif self._mute:
-                continue
-            elif isinstance(command, ProtocolViolation):
-                self.say(grbl.Refusal(11).to_bytes())
-            else:
-                self._lines.append((self.event_s + READING_S, command.text.upper().replace(" ", "")))
-                self.act_at(self.event_s + READING_S)
+        elif isinstance(command, ProtocolViolation):
+            self.say(grbl.Refusal(11).to_bytes())
+        else:
+            self._lines.append((self.event_s + READING_S, command.text.upper().replace(" ", "")))
+            self.act_at(self.event_s + READING_S)
 
     def _tick(self, now_s: float) -> None:
         if self._boots_until_s is not None and now_s >= self._boots_until_s:

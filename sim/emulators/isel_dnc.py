@@ -41,6 +41,8 @@ class IselEmulator(Emulator):
         Smallest.
     """
 
+    decoder = dnc.CommandStream
+
     def __init__(
         self,
         motors: Mapping[str, Motor],
@@ -59,7 +61,6 @@ class IselEmulator(Emulator):
             motor.listener = self.hear(name)
 
     def _power_up(self) -> None:
-        self._stream = dnc.CommandStream()
         self._zero = {name: motor.steps for name, motor in self.motors.items()}
         self._referenced: set[str] = set()
         self._axes: tuple[str, ...] = ()
@@ -79,12 +80,14 @@ class IselEmulator(Emulator):
         return "reference" if channel in self._to_reference else "move"
 
     def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if isinstance(command, dnc.Stop):
-                self._stop()
-            else:
-                self._waiting.append(command)
+        super()._take(data)
         self._next()
+
+    def _hear(self, command: dnc.Command | ProtocolViolation) -> None:
+        if isinstance(command, dnc.Stop):
+            self._stop()
+        else:
+            self._waiting.append(command)
 
     def _tick(self, now_s: float) -> None:
         self._next()

@@ -165,6 +165,7 @@ class PiEmulator(Emulator):
         emulated than that, its name and ERR?, and that it knows no word of GCS 2.
     """
 
+    decoder = gcs.CommandStream
     has_serial = True
 
     def __init__(
@@ -179,7 +180,6 @@ class PiEmulator(Emulator):
         super().__init__(motors, clock)
         self._command_set = command_set
         self._stages, self._serial, self._knows_switches = stages, serial, knows_switches
-        self._stream = gcs.CommandStream()
         self._chain: dict[int | None, dict[str, _Axis]] = {}  # axes by address; one without an address is alone
         self._errors: Counter[int | None] = Counter()
         self._spoken_to: int | None = None  # address of the one that answers now
@@ -231,29 +231,27 @@ class PiEmulator(Emulator):
         return self._spoken_to in self._chain and not (address and None in self._chain)
 
     def _power_up(self) -> None:
-        self._stream = gcs.CommandStream()
         self._errors.clear()
         for axes in self._chain.values():
             for axis in axes.values():
                 axis.power_up(self._stages.absolute_encoders)
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if not self._is_there(None if isinstance(command, ProtocolViolation) else command.address):
-                continue
-            if isinstance(command, gcs.SingleByte):
-                if not self._is_newer:
-                    self._single(command.code)
-            elif isinstance(command, ProtocolViolation):
-                self._error = gcs.UNKNOWN_COMMAND
-            elif command.is_query:
-                self._query(command)
-            elif self._is_newer:
-                self._error = gcs.UNKNOWN_COMMAND
-            elif command.name not in ("STP", "HLT") and any(axis.referencing for axis in self._axes.values()):
-                self._error = gcs.NOT_ALLOWED
-            else:
-                self._error = self._obey(command) or self._error
+    def _hear(self, command: gcs.Command | gcs.SingleByte | ProtocolViolation) -> None:
+        if not self._is_there(None if isinstance(command, ProtocolViolation) else command.address):
+            return
+        if isinstance(command, gcs.SingleByte):
+            if not self._is_newer:
+                self._single(command.code)
+        elif isinstance(command, ProtocolViolation):
+            self._error = gcs.UNKNOWN_COMMAND
+        elif command.is_query:
+            self._query(command)
+        elif self._is_newer:
+            self._error = gcs.UNKNOWN_COMMAND
+        elif command.name not in ("STP", "HLT") and any(axis.referencing for axis in self._axes.values()):
+            self._error = gcs.NOT_ALLOWED
+        else:
+            self._error = self._obey(command) or self._error
 
     def _tick(self, now_s: float) -> None:
         for address, axes in self._chain.items():

@@ -203,6 +203,7 @@ class AptEmulator(Emulator):
         Whether it needs a sign of life of the host.
     """
 
+    decoder = apt.CommandStream
     has_serial = True
 
     def __init__(
@@ -220,7 +221,6 @@ class AptEmulator(Emulator):
         self.is_rack = any(name.startswith("bay") for name in motors)
         self.model = model or ("BSC203" if self.is_rack else "KDC101")
         self._serial, self.home_offset = serial, home_offset
-        self._stream = apt.CommandStream()
         self._channels: dict[str, _Channel] = {}
         for name, motor in self.motors.items():
             place = words.FIRST_BAY - 1 + int(name[3:]) if self.is_rack else words.UNIT
@@ -257,7 +257,7 @@ class AptEmulator(Emulator):
         return PURPOSES.get(self._channels[channel].phase, "move")
 
     def _power_up(self) -> None:
-        self._stream, self._updates_left = apt.CommandStream(), 0
+        self._updates_left = 0
         for channel in self._channels.values():
             channel.power_up()
 
@@ -272,20 +272,19 @@ class AptEmulator(Emulator):
         if self._unthanked <= UNTHANKED:
             super().say(data, time_s)
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            self._count(command)
-            match command:
-                case ProtocolViolation():
-                    continue
-                case apt.SetSpeeds():
-                    for channel in self._meant(command.to, command.channel):
-                        channel.speeds = (command.minimum, command.acceleration, command.maximum)
-                case apt.Setting():
-                    for channel in self._meant(command.to, command.channel):
-                        _set(channel, command.kind, command.value)
-                case apt.Order():
-                    self._obey(command)
+    def _hear(self, command: apt.Command | ProtocolViolation) -> None:
+        self._count(command)
+        match command:
+            case ProtocolViolation():
+                return
+            case apt.SetSpeeds():
+                for channel in self._meant(command.to, command.channel):
+                    channel.speeds = (command.minimum, command.acceleration, command.maximum)
+            case apt.Setting():
+                for channel in self._meant(command.to, command.channel):
+                    _set(channel, command.kind, command.value)
+            case apt.Order():
+                self._obey(command)
 
     def _meant(self, place: int, ident: int) -> list[_Channel]:
         return [one for one in self._channels.values() if (one.place, one.ident) == (place, ident)]

@@ -136,6 +136,7 @@ class ZaberEmulator(Emulator):
         Version.
     """
 
+    decoder = CommandStream
     has_serial = True
 
     READ_ONLY: ClassVar[dict[str, str]] = {
@@ -156,7 +157,6 @@ class ZaberEmulator(Emulator):
         self._firmware = firmware
         self._serial = serial
         self._checked = checksums
-        self._stream = CommandStream()
         self._alerts = False
         self._axes: dict[tuple[int, int], _Axis] = {}
         self._by_channel: dict[str, _Axis] = {}
@@ -187,17 +187,15 @@ class ZaberEmulator(Emulator):
         return PURPOSES.get(self._by_channel[channel].phase, "move")
 
     def _power_up(self) -> None:
-        self._stream = CommandStream()
         for axis in self._axes.values():
             axis.power_up()
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if isinstance(command, ProtocolViolation):
-                continue
-            for device in sorted({key[0] for key in self._axes}):
-                if command.device in (0, device):
-                    self._answer(device, command)
+    def _hear(self, command: Command | ProtocolViolation) -> None:
+        if isinstance(command, ProtocolViolation):
+            return
+        for device in sorted({key[0] for key in self._axes}):
+            if command.device in (0, device):
+                self._answer(device, command)
 
     def _alert(self, key: tuple[int, int], time_s: float) -> None:
         if self._alerts:

@@ -9,6 +9,7 @@ import itertools
 from typing import Any
 
 from daq.timing.protocols.pivlab_synchroniser import (
+    Command,
     CommandStream,
     Identity,
     LaserIs,
@@ -37,10 +38,11 @@ class OltSyncEmulator(PulsingEmulator):
         What it says of itself.
     """
 
+    decoder = CommandStream
+
     def __init__(self, clock: Clock, name: str = "oltSync:0012") -> None:
         super().__init__(clock)
         self.name = name
-        self._stream = CommandStream()
         self._pins: tuple[tuple[int, ...], ...] = ()
         self._cycle_s = 0.0
         self._key_is_on = True
@@ -64,7 +66,6 @@ class OltSyncEmulator(PulsingEmulator):
         return self._key_is_on
 
     def _power_up(self) -> None:
-        self._stream = CommandStream()
         self._pins = ()
 
     def _begin_period(self, time_s: float) -> None:
@@ -74,14 +75,13 @@ class OltSyncEmulator(PulsingEmulator):
                 self._send(pulse.rises_s, number, pulse)
         self._period_begins_s = time_s + self._cycle_s
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if isinstance(command, ProtocolViolation):
-                continue
-            if isinstance(command, Question):
-                self._introduce(command)
-            elif command.device == self.name:
-                self._obey(command)
+    def _hear(self, command: Command | ProtocolViolation) -> None:
+        if isinstance(command, ProtocolViolation):
+            return
+        if isinstance(command, Question):
+            self._introduce(command)
+        elif command.device == self.name:
+            self._obey(command)
 
     def _introduce(self, question: Question) -> None:
         if question.text == "WhoAreYou?":

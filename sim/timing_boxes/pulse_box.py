@@ -43,6 +43,8 @@ class PulseBoxEmulator(Emulator):
         Share by which its own clock runs fast.
     """
 
+    decoder = CommandStream
+
     def __init__(
         self,
         clock: Clock,
@@ -109,25 +111,23 @@ class PulseBoxEmulator(Emulator):
         return 1e-6 * self._settings[INTERVAL_US] / (1.0 + self._clock_off)
 
     def _power_up(self) -> None:
-        self._stream = CommandStream()
         self._settings = {INTERVAL_US: 100_000, LENGTH_US: 1000, WAITS: 0, PULSES: 0}
         self._runs = self._is_ready = self._starts_at_edge = False
         self._sent = 0
         self._tick_s = math.inf
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if isinstance(command, Question):
-                state = {
-                    VERSION: self._version,
-                    START: int(self._runs),
-                    STOP: int(not self._runs),
-                    **self._settings,
-                }
-                if command.code in state:
-                    self.say(Reply(command.code, state[command.code]).to_bytes())
-            elif command.code <= PULSES:
-                self.say(Reply(command.code, self._obey(command)).to_bytes())
+    def _hear(self, command: Command | Question) -> None:
+        if isinstance(command, Question):
+            state = {
+                VERSION: self._version,
+                START: int(self._runs),
+                STOP: int(not self._runs),
+                **self._settings,
+            }
+            if command.code in state:
+                self.say(Reply(command.code, state[command.code]).to_bytes())
+        elif command.code <= PULSES:
+            self.say(Reply(command.code, self._obey(command)).to_bytes())
 
     def _obey(self, command: Command) -> int:
         if command.code == VERSION:

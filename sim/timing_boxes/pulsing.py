@@ -12,7 +12,7 @@ A listener is called in the thread in which the box lives, with no lock of ours 
 """
 
 import heapq
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable
 from typing import NamedTuple
@@ -57,7 +57,7 @@ class Outputs:
         return False
 
 
-class PulsingEmulator(Emulator):
+class PulsingEmulator(Emulator, ABC):
     """Base of the emulators of timing units.
 
     Parameters

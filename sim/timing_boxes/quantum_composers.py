@@ -164,6 +164,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         Serial number.
     """
 
+    decoder = CommandStream
     has_serial = True
 
     def __init__(self, clock: Clock, variant: Variant = QC9530, serial: int = 2311) -> None:
@@ -178,7 +179,6 @@ class QuantumComposersEmulator(PulsingEmulator):
         self.refused_off_s = -math.inf  # when an "off" was last
         self.lost_off_s = -math.inf  # when it was last too busy to hear one
         self._name = f"{variant.model},{serial:05d},1.2.2-1.2.0"
-        self._stream = CommandStream()
         self._t0 = _Channel(self._first_words(0))
         self._channels = [_Channel(self._first_words(n)) for n in range(1, variant.outputs + 1)]
         self._last = 1  # number of the pulse that was spoken of last
@@ -286,7 +286,6 @@ class QuantumComposersEmulator(PulsingEmulator):
                 channel.arm()
 
     def _power_up(self) -> None:
-        self._stream = CommandStream()
         self._last = 1
         self._end_periods()
         for channel in self._all:
@@ -294,16 +293,15 @@ class QuantumComposersEmulator(PulsingEmulator):
         if self._t0.on:
             self._run()
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if self.event_s < self._heard_s + self._variant.needs_s:
-                if isinstance(command, Command) and _is_off(command):
-                    self.lost_off_s = self.event_s
-                continue  # busy with the line before
-            self._heard_s = self.event_s
-            if self._echo and isinstance(command, Command):
-                self.say(command.to_bytes())
-            self.say(f"{self._answer(command)}\r\n".encode("ascii"))
+    def _hear(self, command: Command | ProtocolViolation) -> None:
+        if self.event_s < self._heard_s + self._variant.needs_s:
+            if isinstance(command, Command) and _is_off(command):
+                self.lost_off_s = self.event_s
+            return  # busy with the line before
+        self._heard_s = self.event_s
+        if self._echo and isinstance(command, Command):
+            self.say(command.to_bytes())
+        self.say(f"{self._answer(command)}\r\n".encode("ascii"))
 
     def _answer(self, command: Command | ProtocolViolation) -> str:
         if isinstance(command, ProtocolViolation):

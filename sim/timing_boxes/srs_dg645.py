@@ -51,6 +51,7 @@ class Dg645Emulator(PulsingEmulator):
         What ends a burst that runs.
     """
 
+    decoder = CommandStream
     has_serial = True
 
     def __init__(
@@ -90,7 +91,6 @@ class Dg645Emulator(PulsingEmulator):
             self._trigger(self.event_s)
 
     def _power_up(self) -> None:
-        self._stream = CommandStream()
         self._settings = dict(FACTORY)
         # factory settings: A, C, E, G at T0, and the second channels 10 ns behind the first
         self._delays = {channel: (channel - 1, 1e-8) if channel % 2 else (0, 0.0) for channel in range(2, 10)}
@@ -139,14 +139,13 @@ class Dg645Emulator(PulsingEmulator):
         elif word == "TSRC" and self._left <= 1:
             self._end_periods()
 
-    def _take(self, data: bytes) -> None:
-        for command in self._stream.feed(data):
-            if isinstance(command, ProtocolViolation):
-                self._errors.append(110)
-            elif command.asks:
-                self.say(Value(self._answer(command)).to_bytes())
-            else:
-                self._obey(command)
+    def _hear(self, command: Command | ProtocolViolation) -> None:
+        if isinstance(command, ProtocolViolation):
+            self._errors.append(110)
+        elif command.asks:
+            self.say(Value(self._answer(command)).to_bytes())
+        else:
+            self._obey(command)
 
     def _answer(self, command: Command) -> str:
         word = command.word

@@ -18,7 +18,6 @@ from typing import NamedTuple, TypeVar
 
 from stages.controller import Channel, Controller
 from stages.errors import ProtocolViolation, StageUsageError
-from stages.link import Stream
 from stages.protocols import apt_words as words
 from stages.protocols import thorlabs_apt as apt
 from stages.protocols.apt_words import Kind
@@ -58,6 +57,7 @@ A = TypeVar("A", bound=apt.Answer)
 class AptQuestions(Controller):
     """Questions and commands of a Thorlabs box."""
 
+    decoder = apt.AnswerStream
     _complaint: str  # the last error that the box has reported unasked
     _alive_s: float = -math.inf  # time of the last keep-alive message
     _told_homed: set[str]  # channels whose homing was reported as ended
@@ -102,9 +102,6 @@ class AptQuestions(Controller):
         info = self._converse(question, accept, stream=apt.IdentityStream(to))
         minor, interim, major = info.firmware
         return f"Thorlabs {info.model.strip()} serial {info.serial} firmware {major}.{interim}.{minor}"
-
-    def _stream(self) -> Stream:
-        return apt.AnswerStream()
 
     def _take_unsolicited(self, data: bytes) -> None:
         """Take unsolicited messages, which answer no question; only whole ones leave the link in order."""

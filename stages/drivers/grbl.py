@@ -45,6 +45,7 @@ from stages.errors import (
 from stages.link import QUIET_S, Stream
 from stages.motion_controller import NOISE_COUNTS
 from stages.protocols import grbl
+from stages.protocols.framing import LineStream
 
 AXES = ("X", "Y", "Z")
 HOMING_ENABLED, REPORT_INCHES, REPORTS = 22, 13, 10
@@ -75,7 +76,7 @@ class GrblController(Controller):
     _settings: dict[int, float]
     _homing: bool
     _alarm: int | None
-    _input: grbl.AnswerStream
+    _input: LineStream[grbl.Answer]
     _sent_to_mm: dict[str, float]
     _mark: int | None = None
     _asked_s: float = 0.0  # when it was last asked while it homes

@@ -29,7 +29,7 @@ from stages.errors import (
     ProtocolViolation,
     StageUsageError,
 )
-from stages.link import QUIET_S, Stream
+from stages.link import QUIET_S
 from stages.protocols import isel_dnc as dnc
 
 AXES = ("X", "Y", "Z")
@@ -45,6 +45,7 @@ class IselController(Controller):
     default_baud = 19_200
     other_bauds = (9600,)  # a C142
     example_channels = ("X", "Y")
+    decoder = dnc.AckStream
     counts_steps = True
 
     _initialised: bool = False
@@ -197,9 +198,6 @@ class IselController(Controller):
     def watchdog_bytes(self) -> Sequence[bytes]:
         """The stop of a motion; whether there is one is not known any more."""
         return [dnc.Stop().to_bytes()]
-
-    def _stream(self) -> Stream:
-        return dnc.AckStream()
 
     def _refuse_while_moving(self) -> None:
         if self._motion_pending:

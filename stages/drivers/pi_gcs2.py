@@ -32,7 +32,6 @@ from stages.errors import (
     StageUsageError,
     WrongDevice,
 )
-from stages.link import Stream
 from stages.protocols import pi_gcs2 as gcs
 
 ON_LIMIT_SWITCH = (49, 216)
@@ -46,6 +45,7 @@ class PiController(Controller):
     default_baud = 115_200  # by USB
     other_bauds = (38_400, 19_200, 9600)  # set by switches at the front; 38400 is usual
     example_channels = ("1", "2")
+    decoder = gcs.AnswerStream
     senses_stall = True
     at_limit = "FNL"  # what finds the reference of a stage without a reference switch
 
@@ -208,9 +208,6 @@ class PiController(Controller):
         stops = [gcs.SingleByte(gcs.STOP_ALL, address).to_bytes() for address in self._addresses]
         # in a chain by a line as well: how one byte is addressed is unproven
         return stops + [gcs.Command("STP", address=a).to_bytes() for a in self._addresses if a is not None]
-
-    def _stream(self) -> Stream:
-        return gcs.AnswerStream()
 
     def _ask(self, name: str, *arguments: str, address: int | None = None) -> gcs.Answer:
         return self._talk(gcs.Command(name, arguments, address).to_bytes(), address)

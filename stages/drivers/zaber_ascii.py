@@ -59,6 +59,7 @@ class ZaberController(Controller):
 
     default_baud = 115_200
     example_channels = ("1/1", "1/2")
+    decoder = AnswerStream
     counts_steps = True
     senses_stall = True
     first_day = (
@@ -213,9 +214,6 @@ class ZaberController(Controller):
     def _stop_bytes(self) -> Sequence[bytes]:
         devices = sorted({_address(name)[0] for name in self._channels})
         return [Command("stop", device, 0, STOP_ID).to_bytes() for device in devices]
-
-    def _stream(self) -> AnswerStream:
-        return AnswerStream()
 
     def _take_unsolicited(self, data: bytes) -> None:
         """Ignore late answers and alerts: their number and address distinguish them from the answer awaited."""

@@ -22,6 +22,7 @@ extensions"; FluidNC wiki, "Startup messages".
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, text_of
@@ -193,16 +194,8 @@ def parse_answer(line: bytes) -> Answer:
     raise ProtocolViolation("not a Grbl line", line)
 
 
-class CommandStream(LineStream[Line | RealTime]):
-    """Bytes of a host to lines and real-time bytes, in order of arrival."""
-
-    def __init__(self) -> None:
-        singles = {code: RealTime(code) for code in REALTIME}
-        super().__init__(lambda line: Line(text_of(line)), longest=80, singles=singles)
-
-
-class AnswerStream(LineStream[Answer]):
-    """Bytes of a controller to answers."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_answer)
+_SINGLES = {code: RealTime(code) for code in REALTIME}
+CommandStream = partial(
+    LineStream[Line | RealTime], lambda line: Line(text_of(line)), longest=80, singles=_SINGLES
+)  # of a host: lines and real-time bytes, in order of arrival
+AnswerStream = partial(LineStream, parse_answer)  # of a board

@@ -19,6 +19,7 @@ never read.
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, text_of
@@ -239,11 +240,8 @@ def parse_identity(raw: bytes) -> Identity:
     return Identity(text[1:].lstrip("0"))
 
 
-class CommandStream(LineStream[Command]):
-    """Bytes of a host to commands; what is none becomes its violation, for the controller answers 5."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_command, singles={0xFD: Stop()})
+# of a host; what is no command becomes its violation, for the controller answers 5
+CommandStream = partial(LineStream[Command], parse_command, singles={0xFD: Stop()})
 
 
 class AckStream:

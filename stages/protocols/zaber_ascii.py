@@ -19,6 +19,7 @@ Source: Zaber, "ASCII Protocol Manual", firmware 6 and 7.
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, text_of
@@ -175,15 +176,5 @@ def parse_answer(line: bytes) -> Answer:
     raise ProtocolViolation("not a Zaber answer", line)
 
 
-class CommandStream(LineStream[Command]):
-    """Bytes of a host to commands."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_command)
-
-
-class AnswerStream(LineStream[Answer]):
-    """Bytes of a device to answers."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_answer)
+CommandStream = partial(LineStream, parse_command)  # of a host
+AnswerStream = partial(LineStream, parse_answer)  # of a device

@@ -57,6 +57,7 @@ class _Synchroniser(TimingBox):
     is_new: ClassVar[bool]
 
     _offs_due = 0  # answers to our own off that have not come
+    _start_line = b""  # starts what was loaded; empty while nothing is
     _was_stopped = False  # by another program, since `stand_by`
 
     def drop(self) -> None:
@@ -88,6 +89,16 @@ class _Synchroniser(TimingBox):
         with self._lock:
             self.load(schedule)
             self._require_untouched()
+
+    def begin(self, pairs: int, camera: bool = True) -> None:
+        """Start what was loaded; for alignment the camera has no pulses in it."""
+        with self._lock:
+            if not self._start_line:
+                raise LaserDoubt(f"{self.name} has no sequence to start")
+            self._require_untouched()
+            if not self._switch(self._start_line, moves=True):
+                self._require_untouched()
+                raise LaserDoubt(f"{self.name} does not start")
 
     def end(self) -> None:
         """Off, and confirmed; LaserDoubt if another program has switched it off before."""
@@ -182,11 +193,10 @@ class OltSyncBox(_Synchroniser):
 
     is_new = True
 
-    _sequence: Sequence | None = None
-
     def load(self, schedule: Schedule) -> Schedule:
         """Round to microseconds, send, and believe the verdict."""
         with self._lock:
+            self._start_line = b""
             self.silence()
             rounded = _round_schedule(schedule)
             pins = {pin: self._moments(rounded, pin) for pin in PINS}
@@ -203,18 +213,8 @@ class OltSyncBox(_Synchroniser):
 
             if not self._ask_again(lambda: self._transact(sequence.to_bytes(), accept)):
                 raise CommandRejected(f"{self.name} refused the sequence as a whole", "Sequence:Error")
-            self._sequence = sequence
+            self._start_line = Switch(self.address, True).to_bytes()
             return rounded
-
-    def begin(self, pairs: int, camera: bool = True) -> None:
-        """Start what was loaded; for alignment the camera has no pulses in it."""
-        with self._lock:
-            if self._sequence is None:
-                raise LaserDoubt(f"{self.name} has no sequence to start")
-            self._require_untouched()
-            if not self._switch(Switch(self.address, True).to_bytes(), moves=True):
-                self._require_untouched()
-                raise LaserDoubt(f"{self.name} does not start")
 
     def _moments(self, schedule: Schedule, pin: str) -> tuple[int, ...]:
         """Switching times of a pin, in order; pulses of a role without a pin of its own join its partner's."""
@@ -238,11 +238,10 @@ class XmSyncBox(_Synchroniser):
 
     is_new = False
 
-    _settings: Settings | None = None
-
     def load(self, schedule: Schedule) -> Schedule:
         """Send dt, frame rate and energy, laser off."""
         with self._lock:
+            self._start_line = b""
             if Role.CAMERA_B not in schedule.pulses:
                 raise PulsesRefused(f"{self.name}: an xmSync is driven here for cameras with two triggers a pair")
             frames_hz = 2.0 * schedule.rate_hz
@@ -252,26 +251,12 @@ class XmSyncBox(_Synchroniser):
             energy = round(100.0 * schedule.pulses[Role.Q_SWITCH_1].width_us / dt_us)
             if not 1 <= energy <= 100:
                 raise PulsesRefused(f"{self.name}: light must last 1 to 100 % of dt, not {energy} %")
-            self._settings = Settings(self.address, round(frames_hz), 0, 0, energy, 0, dt_us, 0, 0, False)
-            if self._ask_again(lambda: self._switch(self._line(False))):
+            words = (round(frames_hz), 0, 0, energy, 0, dt_us, 0, 0)
+            dark, lit = (Settings(self.address, *words, laser).to_bytes() for laser in (False, True))
+            if self._ask_again(lambda: self._switch(dark)):
                 raise LaserDoubt(f"{self.name} reports that its laser is on")
+            self._start_line = lit
             return _round_schedule(schedule)
-
-    def begin(self, pairs: int, camera: bool = True) -> None:
-        """Send the same with the laser on."""
-        with self._lock:
-            if self._settings is None:
-                raise LaserDoubt(f"{self.name} has no sequence to start")
-            self._require_untouched()
-            if not self._switch(self._line(True), moves=True):
-                self._require_untouched()
-                raise LaserDoubt(f"{self.name} does not start")
-
-    def _line(self, laser: bool) -> bytes:
-        s = self._settings
-        assert s is not None
-        words = (s.frequency_hz, 0, 0, s.energy_percent, 0, s.interframe_us, 0, 0)
-        return Settings(self.address, *words, laser).to_bytes()
 
     def _off_line(self) -> bytes:
         return Settings(self.address, 1, 1, 0, 0, 100, 1234, -1, 0, False).to_bytes()

@@ -42,6 +42,7 @@ class PulseBox(Link):
     """A board that counts the rising edges at its input."""
 
     first_day = "A Teensy needs the firmware TeensyPulseGenerator of Micro-Manager."
+    decoder = AnswerStream
     most = 0  # pulses that one count may have
 
     def connect(self, url: str) -> None:
@@ -105,9 +106,6 @@ class PulseBox(Link):
 
     def _identify(self) -> str:
         return str(self._transact(Question(VERSION).to_bytes(), _answer_of(VERSION)))
-
-    def _stream(self) -> AnswerStream:
-        return AnswerStream()
 
 
 def _answer_of(code: int) -> Callable[[object], int | None]:

@@ -66,6 +66,7 @@ class QuantumComposersBox(TimingBox):
     default_baud = 38_400
     counts = True
     least_step_us = 0.01
+    decoder = AnswerStream
     reply_timeout_s = 1.0  # a burst is ended by a missing answer, and a busy computer is late too
 
     _outputs = 8
@@ -484,9 +485,6 @@ class QuantumComposersBox(TimingBox):
         except ProtocolViolation:
             pass
         return super()._ask_again(ask)
-
-    def _stream(self) -> AnswerStream:
-        return AnswerStream()
 
     def _number(self, role: Role) -> int:
         return OUTPUTS.index(self.wiring[role]) + 1

@@ -54,6 +54,7 @@ class Dg645Box(TimingBox):
     counts = True
     least_step_us = 1e-5
     reply_timeout_s = 1.0
+    decoder = AnswerStream
 
     _loaded: Schedule | None = None
     _happened = 0  # bits of INSR that were asked for since the trigger
@@ -274,9 +275,6 @@ class Dg645Box(TimingBox):
             return answer.text if isinstance(answer, Value) else None
 
         return self._transact(Command(word, values, asks=True).to_bytes(), accept, timeout_s)
-
-    def _stream(self) -> AnswerStream:
-        return AnswerStream()
 
 
 def _channels(output: str) -> tuple[int, int]:

@@ -22,6 +22,7 @@ which is the only documentation there is; the firmware is not public.
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, TextLine, text_of
@@ -195,11 +196,7 @@ def parse_answer(line: bytes) -> Answer:
     raise ProtocolViolation("not an answer of a synchroniser", line)
 
 
-class CommandStream(LineStream[Command]):
-    """Bytes of a host to commands."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_command, longest=MAX_ANSWER_BYTES)
+CommandStream = partial(LineStream, parse_command, longest=MAX_ANSWER_BYTES)  # of a host
 
 
 class AnswerStream(LineStream[Answer]):

@@ -23,6 +23,7 @@ docs/devices.md says for each word where it stands.
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, TextLine, text_of
@@ -149,15 +150,5 @@ def parse_answer(line: bytes) -> Answer:
     return Value(text)
 
 
-class CommandStream(LineStream[Command]):
-    """Bytes of a host to commands."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_command)
-
-
-class AnswerStream(LineStream[Answer]):
-    """Bytes of a box to answers."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_answer)
+CommandStream = partial(LineStream, parse_command)  # of a host
+AnswerStream = partial(LineStream, parse_answer)  # of a box

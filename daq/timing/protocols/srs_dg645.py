@@ -17,6 +17,7 @@ live box give it.
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, TextLine, text_of
@@ -63,15 +64,5 @@ def parse_answer(line: bytes) -> Value:
     return Value(text_of(line).strip())
 
 
-class CommandStream(LineStream[Command]):
-    """Bytes of a host to commands."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_command)
-
-
-class AnswerStream(LineStream[Value]):
-    """Bytes of a box to answers."""
-
-    def __init__(self) -> None:
-        super().__init__(parse_answer)
+CommandStream = partial(LineStream, parse_command)  # of a host
+AnswerStream = partial(LineStream, parse_answer)  # of a box

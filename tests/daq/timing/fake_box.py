@@ -97,8 +97,5 @@ class FakeBox(TimingBox):
     def _identify(self):
         return "fake"
 
-    def _stream(self):
-        raise NotImplementedError
-
 
 assert set(LAMPS) | set(Q_SWITCHES) <= set(WIRING)
