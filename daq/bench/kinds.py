@@ -109,7 +109,7 @@ class CameraKind:
         """Open it, not yet configured."""
         camera = make_camera(section.backend, **section.options)
         if section.pairs is not None and section.pairs.shape == "double_height":
-            camera = DoubleHeightCamera(camera)
+            camera = cast("Camera", DoubleHeightCamera(camera))
         try:
             camera.open()
             yield camera

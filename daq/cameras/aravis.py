@@ -16,14 +16,14 @@ import ctypes
 import math
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.cameras.camera import PROBE_MIN_S, CameraBase, CameraInfo, Counters, Setting
-from daq.cameras.features import CameraFeatures
+from daq.cameras.camera import PROBE_MIN_S, CameraInfo, Counters
+from daq.cameras.features import CameraFeatures, NodesCamera
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.gvcp_probe import is_controlled, local_address
@@ -40,7 +40,6 @@ from daq.cameras.libaravis import (
 )
 from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
-from daq.cameras.sfnc import read_known
 from daq.errors import (
     BadFrame,
     CameraBusy,
@@ -62,7 +61,7 @@ PACKET_SIZE, SMALLEST_PACKET_BYTES = "GevSCPSPacketSize", 576
 PACKET_OVERHEAD_BYTES = 36  # headers of IP, UDP and stream
 
 
-class AravisCamera(CameraBase):
+class AravisCamera(NodesCamera):
     """A GigE Vision camera.
 
     Parameters
@@ -75,18 +74,20 @@ class AravisCamera(CameraBase):
         Instead of an address: a USB3 Vision camera as libaravis calls it, such as "FLIR-1E10-12345678".
     """
 
+    hidden = (AravisError,)
+
     def __init__(
         self, address: str | None = None, packet_bytes: int | None = None, device_id: str | None = None
     ) -> None:
         if (address is None) == (device_id is None):
             raise CameraSetupError("a camera by Aravis needs an `address` (GigE Vision) or a `device_id` (USB3)")
+        super().__init__()
         self._device_id, self._is_network = device_id, address is not None
         self._id_bits = 64 if device_id is not None and not device_id.startswith(FAKE) else 16
         self._address = address or f"device {device_id}"
         self._packet_bytes = packet_bytes
         self._device = 0
         self._stream = 0
-        self._features = CameraFeatures()
         self._parser = 0
         self._ring: FrameRing | None = None
         self._free: deque[int] = deque()
@@ -152,38 +153,6 @@ class AravisCamera(CameraBase):
         if not self._device:
             raise CameraSetupError(f"there is no camera {device_id} on USB; arv-tool-0.8 lists their ids")
 
-    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
-        """Set SFNC features in a safe order; returns what the camera reads back.
-
-        CameraUsageError if it is armed.
-        """
-        nodes = self._open_nodes()
-        self._require_disarmed()
-        with self._errors("configure"):
-            return self._features.configure(nodes, settings, chunks)
-
-    def verify(self) -> None:
-        """Read the configured settings back once more; SettingsChanged if the camera lost any."""
-        nodes = self._open_nodes()
-        with self._errors("verify"):
-            self._features.verify(nodes)
-
-    def settings(self) -> dict[str, Setting]:
-        """Every readable feature with its value."""
-        nodes = self._open_nodes()
-        values = {}
-        for name in nodes.names():
-            if nodes.has(name):
-                with suppress(AravisError):  # not readable in the present state
-                    values[name] = nodes.get(name)
-        return values
-
-    def read(self, names: Sequence[str]) -> dict[str, Setting]:
-        """Values of a few features; those that the camera has not are left out."""
-        nodes = self._open_nodes()
-        with self._errors("read"):
-            return read_known(nodes, names)
-
     def arm(self, buffers: int = 24) -> None:
         """Allocate `buffers` frames, twice (raw and unpacked), and start the acquisition.
 
@@ -219,25 +188,6 @@ class AravisCamera(CameraBase):
         except CameraError:
             self._drop_stream()
             raise
-
-    def clock_ns(self) -> int | None:
-        """The camera's own clock now; None if it cannot be read."""
-        nodes = self._open_nodes()
-        with self._errors("clock"):
-            return self._features.clock_ns(nodes)
-
-    def trigger(self) -> int | None:
-        """Send one software trigger; returns the camera's clock right before."""
-        self._require_armed()
-        try:
-            before_ns = self.clock_ns()
-        except CameraLost:
-            raise
-        except CameraError:  # a clock that cannot be read is none
-            before_ns = None
-        with self._errors("trigger"):
-            self._open_nodes().execute("TriggerSoftware")
-        return before_ns
 
     def poll(self, timeout_s: float) -> Frame | None:
         """Next complete frame, or None; FrameIncomplete when one came with pixels missing."""

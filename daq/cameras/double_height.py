@@ -6,16 +6,16 @@ They share the camera's memory, which is given back when both are released.  Cou
 
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any, cast
 
-from daq.cameras.camera import Camera, CameraBase, CameraInfo, Counters, Setting
+from daq.cameras.camera import Camera, Counters, Setting, wait_for_frame
 from daq.cameras.frame import Frame
 from daq.errors import BadFrame
 
 
-class DoubleHeightCamera(CameraBase):
-    """Cuts the buffers of another camera.
+class DoubleHeightCamera:
+    """A `Camera` that cuts the buffers of another one; what is not said here is as that does it.
 
     Parameters
     ----------
@@ -23,60 +23,24 @@ class DoubleHeightCamera(CameraBase):
         Open or not.
     """
 
-    _is_armed = False  # calls out of order are refused by the camera itself
-
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
         self._halves: deque[Frame] = deque()
         self._uncut = 0  # buffers that could not be
 
-    @property
-    def info(self) -> CameraInfo:
-        """As the camera says."""
-        return self._camera.info
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever a camera has
+        return getattr(self._camera, name)
 
     @property
     def counters(self) -> Counters:
         """Halves since the last `arm`."""
         return self._in_halves(self._camera.counters)
 
-    def open(self) -> None:
-        """As the camera does."""
-        self._camera.open()
-
-    def close(self) -> None:
-        """As the camera does."""
-        self._camera.close()
-
-    def verify(self) -> None:
-        """As the camera does."""
-        self._camera.verify()
-
-    def clock_ns(self) -> int | None:
-        """As the camera says."""
-        return self._camera.clock_ns()
-
-    def trigger(self) -> int | None:
-        """As the camera does."""
-        return self._camera.trigger()
-
-    def probe(self, timeout_s: float) -> None:
-        """As the camera does."""
-        self._camera.probe(timeout_s)
-
-    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
-        """As the camera does."""
-        return self._camera.configure(settings, chunks)
-
     def settings(self) -> dict[str, Setting]:
         """As the camera says, with the height of a half."""
         found = dict(self._camera.settings())
         height = found.get("Height")
         return found | ({"Height": height // 2} if isinstance(height, int) else {})
-
-    def read(self, names: Sequence[str]) -> dict[str, Setting]:
-        """As the camera says."""
-        return self._camera.read(names)
 
     def arm(self, buffers: int = 24) -> None:
         """Start the acquisition."""
@@ -92,6 +56,10 @@ class DoubleHeightCamera(CameraBase):
                 return None
             self._cut(whole)
         return self._halves.popleft()
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """Next half, waited for."""
+        return wait_for_frame(cast("Camera", self), timeout_s)
 
     def disarm(self) -> Counters:
         """Stop the acquisition; halves not fetched count as unused."""

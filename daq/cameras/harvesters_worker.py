@@ -28,8 +28,7 @@ from typing import Any
 from genicam import genapi, gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
-from daq.cameras.camera import Setting
-from daq.cameras.features import CameraFeatures
+from daq.cameras.features import CameraFeatures, read_all
 from daq.cameras.genicam_objects import GenApiNodes, chunks_of, frame_id, image_of, one_line, timestamp_ns
 from daq.cameras.harvesters_process import Message, pack_error, receive, send
 from daq.cameras.ring import FrameRing
@@ -95,7 +94,7 @@ class Worker:
             "open": self._open,
             "configure": lambda **asked: self._features.configure(self._nodes, **asked),
             "verify": lambda: self._features.verify(self._nodes),
-            "settings": self._settings,
+            "settings": lambda: read_all(self._nodes, GENICAM_ERRORS),
             "read": lambda names: read_known(self._nodes, names),
             "arm": self._arm,
             "clock": lambda: self._features.clock_ns(self._nodes),
@@ -183,17 +182,6 @@ class Worker:
         acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._incomplete)
         info = found[0]
         return {"vendor": info.vendor, "model": info.model, "serial": info.serial_number, "tl_type": info.tl_type}
-
-    def _settings(self) -> dict[str, Setting]:
-        nodes = self._nodes
-        values = {}
-        for name in nodes.names():
-            try:
-                if nodes.has(name):
-                    values[name] = nodes.get(name)
-            except GENICAM_ERRORS:
-                continue  # not readable in the present state
-        return values
 
     def _trigger(self) -> int | None:
         before_ns = None

@@ -52,6 +52,9 @@ TRIGGER = ("TriggerSource", "TriggerActivation", "TriggerDelay", "TriggerMode")
 class Nodes(Protocol):
     """A camera's features by name, as a backend's library gives them."""
 
+    def names(self) -> list[str]:
+        """Every feature that may have a value."""
+
     def has(self, name: str) -> bool:
         """Return whether the feature exists and is available now."""
 

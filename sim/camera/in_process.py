@@ -14,19 +14,18 @@ whose pixels are still held are at most the `buffers` of `arm`; a frame that fin
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import MappingProxyType
 
 import numpy as np
 
-from daq.cameras.camera import CameraBase, CameraInfo, Counters, Setting
-from daq.cameras.features import CameraFeatures
+from daq.cameras.camera import CameraInfo, Counters, Setting
+from daq.cameras.features import CameraFeatures, NodesCamera
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
 from daq.cameras.pixels import unpack
-from daq.cameras.sfnc import read_known
 from daq.errors import (
     BadFrame,
     CameraBusy,
@@ -94,7 +93,7 @@ class RegisterNodes:
             self._device.write(self._registers.addresses[name], self._registers.encode(name, 1))
 
 
-class InProcessCamera(CameraBase):
+class InProcessCamera(NodesCamera):
     """A simulated camera that has power in this process.
 
     Parameters
@@ -104,9 +103,9 @@ class InProcessCamera(CameraBase):
     """
 
     def __init__(self, device: str) -> None:
+        super().__init__()
         self._name = device
         self._device: SimCamera | None = None
-        self._features = CameraFeatures()
         self._told = threading.Condition()
         self._waiting: deque[tuple[SimFrame, int]] = deque()  # and when it came [ns]
         self._room: int | None = None  # frames that may wait or be held; None while it is not armed
@@ -127,7 +126,7 @@ class InProcessCamera(CameraBase):
         """Counters since the last `arm`."""
         ignored = self._ignored
         if self._room is not None:
-            ignored = self._features.count_ignored(self._nodes)
+            ignored = self._features.count_ignored(self._open_nodes())
         with self._told:
             missing = self._ids.missing(self._incomplete + self._underrun)
             return Counters(
@@ -150,45 +149,16 @@ class InProcessCamera(CameraBase):
             _HELD.add(self._name)
         self._device, self._features = device, CameraFeatures()
 
-    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
-        """Set SFNC features in a safe order; returns what the camera reads back."""
-        self._require_disarmed()
-        return self._features.configure(self._nodes, settings, chunks)
-
-    def verify(self) -> None:
-        """Read the configured settings back once more; SettingsChanged if the camera lost any."""
-        self._features.verify(self._nodes)
-
-    def settings(self) -> dict[str, Setting]:
-        """Every readable feature with its value."""
-        nodes = self._nodes
-        return {name: nodes.get(name) for name in nodes.names()}
-
-    def read(self, names: Sequence[str]) -> dict[str, Setting]:
-        """Values of a few features; those that the camera has not are left out."""
-        return read_known(self._nodes, names)
-
     def arm(self, buffers: int = 24) -> None:
         """Start the acquisition with room for `buffers` frames."""
         self._require_disarmed()
-        nodes = self._nodes
+        nodes = self._open_nodes()
         self._begin_counting()
         self._features.begin(nodes)
         self._armed += 1
         self._room = buffers
         self._device_in_hand.sink, self._device_in_hand.on_lost = self._take, self._hear_of_loss
         nodes.execute("AcquisitionStart")
-
-    def clock_ns(self) -> int | None:
-        """The camera's own clock now; None if it cannot be read."""
-        return self._features.clock_ns(self._nodes)
-
-    def trigger(self) -> int | None:
-        """Send one software trigger; returns the camera's clock right before."""
-        self._require_armed()
-        before_ns = self.clock_ns()
-        self._nodes.execute("TriggerSoftware")
-        return before_ns
 
     def poll(self, timeout_s: float) -> Frame | None:
         """Next complete frame, or None; FrameIncomplete when one came with pixels missing.
@@ -215,7 +185,7 @@ class InProcessCamera(CameraBase):
 
     def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers; it answers at once or never."""
-        self._nodes.get("Width")
+        self._open_nodes().get("Width")
 
     def disarm(self) -> Counters:
         """Stop the acquisition; frames that were not fetched count as unused."""
@@ -248,8 +218,7 @@ class InProcessCamera(CameraBase):
             raise CameraUsageError("the camera is closed; open it first")
         return self._device
 
-    @property
-    def _nodes(self) -> RegisterNodes:
+    def _open_nodes(self) -> RegisterNodes:
         return RegisterNodes(self._device_in_hand)
 
     def _begin_counting(self) -> None:
