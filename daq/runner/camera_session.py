@@ -47,6 +47,7 @@ from daq.errors import (
     RunUsageError,
     SettingsChanged,
 )
+from daq.runner.clock_calibration import Shot
 from daq.runner.exposures import single_frames, stream
 from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
 from daq.runs.frame_accounting import FrameAccounting, FrameCounters
@@ -283,6 +284,12 @@ class CameraSession:
         self.camera.arm(self.section.buffers)
         self.match.note_arming()
         self.is_armed = True
+
+    def arm(self) -> Shot:
+        """Make ready, and tell when that was, on both clocks."""
+        before_ns, clock_ns = time.monotonic_ns(), self.clock_ns()
+        self.make_ready()
+        return Shot(clock_ns, before_ns, time.monotonic_ns())
 
     def clock_ns(self) -> int | None:
         """The camera's clock now; None if it cannot be read."""

@@ -202,7 +202,7 @@ def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator
     first: int | None = None
     dried_up: CameraTimeout | None = None
     try:
-        arm = _arm(taken_by)
+        arm = taken_by.arm()
         deadline_s = _deadline_s(taken_by)
         while next_place < places.stop and lost <= may_lose:
             try:
@@ -239,13 +239,6 @@ def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator
             f"the stream ended after {next_place - places.start - lost} of {len(places)} frames "
             f"({dried_up}{'; ' if why else ''}{why})"
         ) from dried_up
-
-
-def _arm(taken_by: "CameraSession") -> Shot:
-    """Start the acquisition; return the moment right before."""
-    before_ns, clock_ns = time.monotonic_ns(), taken_by.clock_ns()
-    taken_by.make_ready()
-    return Shot(clock_ns, before_ns, time.monotonic_ns())
 
 
 def _deadline_s(taken_by: "CameraSession") -> float:

@@ -15,7 +15,7 @@ from daq.runner.interrupts import Interrupts
 from daq.runner.laser_session import exposure_of, require_rate
 from daq.runner.pair_source import Chunk
 from daq.runs.frame_accounting import EXTERNAL, LEFT
-from daq.timing.pulses import LaserHead, PairExposures, schedule_of
+from daq.timing.pulses import ANY_RATE_HZ, LaserHead, PairExposures, schedule_of
 
 WAITING = "waiting for the triggers of the synchroniser; start it in its own program"
 
@@ -51,7 +51,7 @@ class ExternalLight:
         require_rate(settings, section.frames, order.rate_hz)
         check_marker(section, exposure_us, order.rate_hz)
         self.exposures = pair_exposures(section, exposure_us)
-        schedule_of(order.timing, LaserHead(float("inf")), self.exposures)
+        schedule_of(order.timing, LaserHead(max_rate_hz=ANY_RATE_HZ), self.exposures)
         return self
 
     def fire(self, laser: Self, pairs: int, armed: Callable[[], bool]) -> Self:

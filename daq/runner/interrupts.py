@@ -16,7 +16,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from types import FrameType
 from typing import Any, Self
 
 from daq.signal_handling import leave_terminals, terminals_of
@@ -87,16 +86,16 @@ class Interrupts:
         self._thread = StopThread(lambda: self._stop_now())
         if threading.current_thread() is threading.main_thread():
             self._terminals = terminals_of()
-            for name, handler in (
-                ("SIGINT", self._on_press),
-                ("SIGTERM", self._on_press),
-                ("SIGHUP", self._on_hangup),
-                ("SIGQUIT", self._on_quit),
-                ("SIGTSTP", self._on_pause),
+            for name, act in (
+                ("SIGINT", self.press),
+                ("SIGTERM", self.press),
+                ("SIGHUP", self._hang_up),
+                ("SIGQUIT", self.stop),
+                ("SIGTSTP", self._turn_pause),
             ):
                 number = getattr(signal, name, None)
                 if number is not None and not (name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN):
-                    self._before[number] = signal.signal(number, handler)
+                    self._before[number] = signal.signal(number, lambda *_, act=act: act())
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -107,15 +106,9 @@ class Interrupts:
             signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: not made by Python
         self._before.clear()
 
-    def _on_press(self, number: int, frame: FrameType | None) -> None:
-        self.press()
-
-    def _on_hangup(self, number: int, frame: FrameType | None) -> None:
+    def _hang_up(self) -> None:
         leave_terminals(self._terminals)
         self.press()
 
-    def _on_quit(self, number: int, frame: FrameType | None) -> None:
-        self.stop()
-
-    def _on_pause(self, number: int, frame: FrameType | None) -> None:
+    def _turn_pause(self) -> None:
         self._paused = not self._paused

@@ -3,7 +3,6 @@
 Several cameras are asked in turn by one thread, so a source that has nothing yet says so (None) after a moment.
 """
 
-import time
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
@@ -108,11 +107,8 @@ class PairSource:
 
     def arm(self) -> None:
         """Make the camera wait for triggers, with nothing of before in its queue."""
-        exposures = self.exposures
-        exposures.begin()
-        before_ns, clock_ns = time.monotonic_ns(), exposures.clock_ns()
-        exposures.make_ready()
-        self._arm = Shot(clock_ns, before_ns, time.monotonic_ns())
+        self.exposures.begin()
+        self._arm = self.exposures.arm()
 
     def tell_clock(self) -> None:
         """Learn how the camera's clock stands to the computer's.

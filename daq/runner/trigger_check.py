@@ -10,7 +10,6 @@ back is only what was set; a camera that sends no such chunk leaves it open, whi
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import pairwise
 
 from daq.bench.bench_table import CameraSection
@@ -18,6 +17,7 @@ from daq.cameras.camera import Camera
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import CameraTimeout, FrameIncomplete, SettingRefused
 from daq.runner.camera_session import CameraSession
+from daq.runs.laser_proof import Trial
 
 FRAMES = 6
 CHUNK = "ExposureTime"
@@ -25,18 +25,9 @@ EXPOSURE_OFF = 0.02  # share by which an exposure may differ; cameras round it t
 ROUNDED_US = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class TriggerCheck:
-    """One thing that was tried: whether it is right (None: not known), and what there is to say."""
-
-    what: str
-    is_right: bool | None
-    said: str
-
-
 def try_trigger(
     camera: Camera, section: CameraSection, frames: int = FRAMES, rendering_s: Callable[[], float] = lambda: 0.0
-) -> list[TriggerCheck]:
+) -> list[Trial]:
     """Take a few frames as the bench file sets the camera up, and judge them.
 
     Parameters
@@ -59,7 +50,7 @@ def try_trigger(
     asked = [*section.chunks, *([CHUNK] if sends and CHUNK not in section.chunks else [])]
     exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}), rendering_s=rendering_s)
     settings = exposures.set_up()
-    found = [TriggerCheck("settings", True, f"{len(section.settings)} read back as they were set")]
+    found = [Trial("settings", True, f"{len(section.settings)} read back as they were set")]
     metas: list[FrameMeta] = []
     why = ""
     exposures.begin()
@@ -79,12 +70,12 @@ def try_trigger(
         cure = "look at the wire, its level and TriggerActivation"
         return [
             *found,
-            TriggerCheck("trigger", False, f"{len(metas)} of {frames} frames by {source}: {why}; {cure}"),
+            Trial("trigger", False, f"{len(metas)} of {frames} frames by {source}: {why}; {cure}"),
         ]
     ignored = camera.counters.ignored_triggers
     said = f"{frames} of {frames} frames by {source}{_rate(metas)}"
     said += f", {ignored} triggers were ignored while it began and ended" if ignored else ""
-    found.append(TriggerCheck("trigger", True, said))
+    found.append(Trial("trigger", True, said))
     second_us = None if section.pairs is None else section.pairs.second_exposure_us
     return [*found, *_exposures(metas, settings.get(CHUNK, settings.get("ExposureTimeAbs")), second_us)]
 
@@ -113,23 +104,21 @@ def _rate(metas: list[FrameMeta]) -> str:
     return f", {min(apart_ms):.3f} to {max(apart_ms):.3f} ms apart"
 
 
-def _exposures(metas: list[FrameMeta], asked: object, second_us: float | None) -> Iterator[TriggerCheck]:
+def _exposures(metas: list[FrameMeta], asked: object, second_us: float | None) -> Iterator[Trial]:
     """Judge what came with the frames; exposure B of a double frame may be another."""
     exposures_us = [meta.chunks[CHUNK] for meta in metas if CHUNK in meta.chunks]
     if len(exposures_us) < len(metas):
-        yield TriggerCheck(
-            "exposure", None, "the camera sends none with its frames, so only what reads back is known"
-        )
+        yield Trial("exposure", None, "the camera sends none with its frames, so only what reads back is known")
         return
     shortest, longest = min(exposures_us), max(exposures_us)
     is_one = math.isclose(shortest, longest, rel_tol=1e-6)
     said = f"{shortest:g} us" if is_one else f"{shortest:g} to {longest:g} us"
     if not isinstance(asked, int | float):
-        yield TriggerCheck("exposure", None, f"{said}; what it was set to reads not back")
+        yield Trial("exposure", None, f"{said}; what it was set to reads not back")
         return
     wanted = [asked] if second_us is None else [asked, second_us]
     is_right = all(any(_is_near(each, one) for one in wanted) for each in exposures_us)
-    yield TriggerCheck("exposure", is_right, f"{said}, set to {' and '.join(f'{one:g}' for one in wanted)} us")
+    yield Trial("exposure", is_right, f"{said}, set to {' and '.join(f'{one:g}' for one in wanted)} us")
 
 
 def _is_near(told_us: float, asked_us: float) -> bool:

@@ -10,7 +10,8 @@ from daq.bench.elements import CAMERA
 from daq.bench.opened import open_bench
 from daq.errors import CameraError
 from daq.runner.camera_session import CameraSession
-from daq.runner.trigger_check import TriggerCheck, try_trigger
+from daq.runner.trigger_check import try_trigger
+from daq.runs.laser_proof import Trial
 from daq.runs.raw_frame import checksum, write_raw
 from ground.terminal import console
 from rtpiv.verbs.paths import Named
@@ -81,7 +82,7 @@ def camera(
     return out
 
 
-def _say(found: list[TriggerCheck]) -> None:
+def _say(found: list[Trial]) -> None:
     """Show what was found; CameraError if something is wrong."""
     words = {True: "ok ", False: "BAD", None: "?  "}
     for each in found:
