@@ -27,7 +27,7 @@ from sim.emulators.recorded import RecordedBox
 from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.clock import Clock
-from stages.config import Positive, StagesTable
+from stages.config import StagesTable
 from stages.controller_tables import (
     AnyControllerTable,
     HandTable,
@@ -35,6 +35,7 @@ from stages.controller_tables import (
     PositionersTable,
     PositionerTable,
 )
+from stages.profile import Positive
 from stages.scale_question import ScaleQuestion
 
 HAND_POLL_S = 0.1  # how often a hand looks whether it is to go on

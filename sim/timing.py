@@ -82,7 +82,7 @@ class SimulatedTiming:
     def __init__(self, table: TimingTable, clock: Clock) -> None:
         self.wiring = table.wiring
         self.trigger_cable = self.wiring.get(Role.CAMERA)  # output wired to the camera's trigger
-        self._light_delays_us = table.head.head().q_switch_to_light_us
+        self._light_delays_us = table.head.q_switch_to_light_us
         made = emulator_of(table.box)
         options: dict[str, Any] = {"name": table.identity}
         if made is Dg645Emulator:

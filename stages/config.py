@@ -41,71 +41,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ground.config import Name, Pair, Table
-from ground.usual import Usual
+from ground.config import Name, Table
 from stages.axis_settings import AxisSettings
 from stages.controller_tables import AnyControllerTable, ForeignTable, HandTable
 from stages.drivers_by_name import check_driver
 from stages.errors import StageUsageError
-from stages.profile import Approach
-
-Positive = Annotated[float, Field(gt=0.0, le=1e7)]
 
 
-class ApproachTable(Table):
-    """From which side an axis arrives."""
-
-    side: Literal["from_below", "from_above"]
-    distance_mm: Annotated[Positive, Usual(0.06, 4.9)]
-    speed_mm_s: Annotated[Positive, Usual(0.02, 50.0)]
-
-
-class AxisTable(Table):
+class AxisTable(AxisSettings):
     """An axis; see the module's text."""
 
     controller: Name
-    channel: str | int
     carries: Name
     along: Literal["x", "y", "z"]
-    limits_mm: Pair
-    speed_mm_s: Annotated[Positive, Usual(0.2, 250.0)]
-    acceleration_mm_s2: Annotated[Positive, Usual(1.0, 5000.0)]
-    steps_per_mm: Annotated[Positive | None, Usual(20.0, 1e6)] = None
-    sign: Literal[1, -1] = 1
-    offset_mm: float = 0.0
-    approach: ApproachTable | None = None
-    settle_s: Annotated[Annotated[float, Field(ge=0.0, le=60.0)], Usual(0.0, 5.0)] = 0.1
-    in_position_um: Annotated[Annotated[float, Field(gt=0.0, le=500.0)], Usual(0.2, 500.0)] = 10.0
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
-    home_timeout_s: Annotated[Annotated[float, Field(gt=0.0, le=3600.0)], Usual(10.0, 1200.0)] = 180.0
     homed_at_mm: float | None = None
-    reading_um: Annotated[Annotated[float, Field(gt=0.0, le=1000.0)] | None, Usual(0.5, 500.0)] = None
-
-    @model_validator(mode="after")
-    def _makes_sense(self) -> "AxisTable":
-        self.settings()  # its own rules, once
-        return self
-
-    def settings(self) -> AxisSettings:
-        """Return the same as the axis wants it."""
-        table, approach = self.approach, None
-        if table is not None:
-            approach = Approach(table.side == "from_below", table.distance_mm, table.speed_mm_s)
-        return AxisSettings(
-            channel=str(self.channel),
-            limits_mm=(self.limits_mm[0], self.limits_mm[1]),
-            speed_mm_s=self.speed_mm_s,
-            acceleration_mm_s2=self.acceleration_mm_s2,
-            sign=self.sign,
-            offset_mm=self.offset_mm,
-            steps_per_mm=self.steps_per_mm,
-            approach=approach,
-            settle_s=self.settle_s,
-            in_position_um=self.in_position_um,
-            retries=self.retries,
-            home_timeout_s=self.home_timeout_s,
-            reading_um=self.reading_um,
-        )
 
 
 def port_conflicts(ports: Mapping[str, str]) -> list[str]:

@@ -12,25 +12,37 @@ also made in two legs, because the play need not be taken up yet.)
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ground.config import Table
+from ground.usual import Usual
+
+Positive = Annotated[float, Field(gt=0.0, le=1e7)]
 
 
-@dataclass(frozen=True, slots=True)
-class Approach:
+class Approach(Table):
     """From which side an axis arrives, from how far, how fast.
 
     Parameters
     ----------
-    upwards : bool
-        True to arrive while the coordinate grows.
+    side : str
+        From below, the axis arrives while the coordinate grows.
     distance_mm : float
         Length of the last leg; several times the play.
     speed_mm_s : float
         Speed of the last leg.
     """
 
-    upwards: bool
-    distance_mm: float
-    speed_mm_s: float
+    side: Literal["from_below", "from_above"]
+    distance_mm: Annotated[Positive, Usual(0.06, 4.9)]
+    speed_mm_s: Annotated[Positive, Usual(0.02, 50.0)]
+
+    @property
+    def upwards(self) -> bool:
+        """Return whether the axis arrives while the coordinate grows."""
+        return self.side == "from_below"
 
     def before_mm(self, target_mm: float) -> float:
         """Start of the last leg to a target."""

@@ -55,13 +55,13 @@ class Stage:
         require_trust(program for table in config.controllers.values() for program in table.programs)
         for name, table in config.controllers.items():
             used = {
-                str(axis.channel): _channel_of(axis_name, axis.settings())
+                str(axis.channel): _channel_of(axis_name, axis)
                 for axis_name, axis in config.axes.items()
                 if axis.controller == name
             }
             self._controllers[name] = controller_class(table.driver)(name, used, clock, self.latch)
         for name, axis in config.axes.items():
-            self._axes[name] = Axis(name, self._controllers[axis.controller], axis.settings(), clock, self._turn)
+            self._axes[name] = Axis(name, self._controllers[axis.controller], axis, clock, self._turn)
 
     @classmethod
     def open(cls, config: StagesTable, clock: Clock = SYSTEM_CLOCK, guard: Guard | None = None) -> "Stage":

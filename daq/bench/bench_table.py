@@ -37,7 +37,8 @@ from daq.errors import PlanError, SettingRefused
 from ground.config import Document, Name, Table
 from ground.plain_words import slip
 from ground.usual import Usual
-from stages.config import AxisTable, Positive, StagesTable, port_conflicts
+from stages.config import AxisTable, StagesTable, port_conflicts
+from stages.profile import Positive
 from tracer.scene.scene import Scene
 
 Preset = Literal["free_running", "software", "edge", "falling_edge", "pulse_width", "burst"]

@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 
 from ground.config import Table
 from ground.usual import Usual
-from stages.config import Positive
+from stages.profile import Positive
 
 Shape = Literal["double_height", "two_blocks", "straddling", "burst"]
 Marker = Literal["halves", "line_status", "counter", "spacing"]

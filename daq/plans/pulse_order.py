@@ -1,12 +1,11 @@
 """Pulses that a step asks of a laser, and checks of laser and camera of the bench; nothing is open."""
 
 from dataclasses import dataclass
-from math import inf
 
 from daq.bench.bench_table import Bench, trigger_is_software
 from daq.bench.pairs_section import SPACING_RATIO, PairsSection
 from daq.errors import PlanError
-from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role, schedule_of
+from daq.timing.pulses import ANY_RATE_HZ, LaserHead, PairExposures, PulseTiming, Role, schedule_of
 from daq.timing.timing_table import TimingTable
 
 SHARED = ("shape", "dead_us", "start_delay_us", "second_exposure_us")  # of cameras on one trigger line
@@ -114,7 +113,7 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
     if not isinstance(exposure_us, int | float) or isinstance(exposure_us, bool):
         raise PlanError(f"{bench.path}: camera.settings lacks ExposureTime, so no pulse can be placed")
     exposures = pair_exposures(section, float(exposure_us))
-    head = LaserHead(inf) if timing is None else timing.head.head()
+    head = LaserHead(max_rate_hz=ANY_RATE_HZ) if timing is None else timing.head
     schedule_of(order.timing, head, exposures)
     check_marker(section, float(exposure_us), order.rate_hz)
     if timing is None:

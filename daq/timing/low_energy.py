@@ -5,14 +5,16 @@ is on for a short time. How much that is, only a power meter knows: the numbers 
 """
 
 from collections.abc import Container
-from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from daq.timing.errors import PulsesRefused
-from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, Pulse, Role, Schedule
+from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, Positive, Pulse, Role, Schedule
+from ground.config import Table
 
 
-@dataclass(frozen=True, slots=True)
-class LowEnergyRules:
+class LowEnergyRules(Table):
     """Limits of the alignment mode.
 
     Parameters
@@ -27,10 +29,10 @@ class LowEnergyRules:
         Width of the pulse; a modulated diode is weak by it.
     """
 
-    max_rate_hz: float = 10.0
-    max_s: float = 10.0
-    q_switch_delay_us: float | None = None
-    pulse_us: float | None = None
+    max_rate_hz: Positive = 10.0
+    max_s: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
+    q_switch_delay_us: Positive | None = None
+    pulse_us: Positive | None = None
 
 
 def low_energy_burst(
@@ -79,4 +81,4 @@ def _low_energy_schedule(
         pulses = {role: Pulse(0.0, TRIGGER_US) for role in LAMPS if role in wired}
     for number, role in enumerate(role for role in Q_SWITCHES if role in wired):
         pulses[role] = Pulse(begin_us + number * apart_us, width_us)
-    return Schedule(1e6 / rate_hz, pulses, head.q_switch_to_light_us)
+    return Schedule(1e6 / rate_hz, pulses, tuple(head.q_switch_to_light_us))

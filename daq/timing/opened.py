@@ -68,7 +68,7 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
     """
     box = driver_class(table.box)(f"laser on {table.port}", table.wiring, clock)
     box.address, box.gate = table.identity or "", table.gate
-    laser = Laser(box.name, box, table.head.head(), table.rules(), clock)
+    laser = Laser(box.name, box, table.head, table.rules(), clock)
     watchdog = Watchdog(laser.switch_opened) if needs_watchdog([table.port]) else None
     try:
         laser.switches = Switches.open(table.switches)

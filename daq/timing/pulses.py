@@ -24,14 +24,21 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
 
 from daq.timing.errors import PulsesRefused
+from ground.config import Pair, Table
+from ground.usual import Usual
 
 TRIGGER_US = 10.0  # width of what only has to be an edge
+ANY_RATE_HZ = 1e12  # of a laser of which nothing is known
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
 
 
-@dataclass(frozen=True, slots=True)
-class LaserHead:
+class LaserHead(Table):
     """Properties and limits of a laser; from the bench file.
 
     Parameters
@@ -40,9 +47,9 @@ class LaserHead:
         Pairs a second.
     min_dt_us, max_dt_us : float
         Of two pulses; a single cavity cannot do less than its pump allows.
-    lamp_to_q_switch_us : (2,) tuple of float or None
+    lamp_to_q_switch_us : (2,) list of float or None
         Of each cavity, for full energy; None without lamps.
-    q_switch_to_light_us : (2,) tuple of float
+    q_switch_to_light_us : (2,) list of float
         From the trigger to the light, of each cavity.
     pulse_us : float
         Width of the Q-switch triggers; for a modulated diode the time of the light itself.
@@ -50,16 +57,19 @@ class LaserHead:
         The only rate at which the lamps may run; None if any up to `max_rate_hz` will do.
     max_duty : float
         Largest share of the period in which the light may be on; matters for diodes.
+    warmup_s : float
+        How long lamps run before the first pulse.
     """
 
-    max_rate_hz: float
-    min_dt_us: float = 0.0
-    max_dt_us: float = 1e6
-    lamp_to_q_switch_us: tuple[float, float] | None = None
-    q_switch_to_light_us: tuple[float, float] = (0.0, 0.0)
-    pulse_us: float = TRIGGER_US
-    lamp_rate_hz: float | None = None
-    max_duty: float = 0.5
+    max_rate_hz: Annotated[Positive, Usual(0.5, 1e4)]
+    min_dt_us: Annotated[NotNegative, Usual(0.0, 1e3)] = 0.0
+    max_dt_us: Annotated[Positive, Usual(1.0, 1e6)] = 1e6
+    lamp_to_q_switch_us: Annotated[Pair | None, Usual(40.0, 1e3)] = None
+    q_switch_to_light_us: Annotated[Pair, Usual(0.0, 0.9)] = [0.0, 0.0]  # noqa: RUF012 - pydantic copies it
+    pulse_us: Annotated[Positive, Usual(0.5, 90.0)] = TRIGGER_US
+    lamp_rate_hz: Annotated[Positive | None, Usual(0.5, 200.0)] = None
+    max_duty: Annotated[float, Field(gt=0.0, le=0.5)] = 0.5
+    warmup_s: Annotated[NotNegative, Usual(0.0, 3600.0)] = 600.0
 
     def require_rate(self, rate_hz: float) -> None:
         """Refuse pairs a second that the laser cannot give; PulsesRefused."""
@@ -195,7 +205,7 @@ class Schedule:
 
     period_us: float
     pulses: Mapping[Role, Pulse]
-    light_delay_us: tuple[float, float] = field(default=(0.0, 0.0))
+    light_delay_us: tuple[float, ...] = field(default=(0.0, 0.0))
 
     @property
     def dt_us(self) -> float:
@@ -264,7 +274,7 @@ def schedule_of(timing: PulseTiming, head: LaserHead, exposures: PairExposures) 
         raise PulsesRefused(
             f"the pulses of a pair take {last_us:g} us, longer than the {timing.period_us:g} us from pair to pair"
         )
-    return Schedule(timing.period_us, pulses, head.q_switch_to_light_us)
+    return Schedule(timing.period_us, pulses, tuple(head.q_switch_to_light_us))
 
 
 def _require_limits(timing: PulseTiming, head: LaserHead, exposures: PairExposures) -> None:

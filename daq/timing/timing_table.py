@@ -1,40 +1,18 @@
 """Section of a bench file for a timing unit and its laser; docs/laser.md shows the wiring."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from daq.timing.conditions import CLEAR_MM, Rules
 from daq.timing.drivers_by_name import DRIVERS
 from daq.timing.low_energy import LowEnergyRules
-from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
+from daq.timing.pulses import LAMPS, Q_SWITCHES, LaserHead, NotNegative, PairExposures, Positive, Role
 from daq.timing.switches import SwitchTable
-from ground.config import Pair, Table
+from ground.config import Table
 from ground.usual import Usual
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 OFF_BEST = 0.2  # share by which a Q-switch must be off its best delay to be called weak
-
-
-class HeadTable(Table):
-    """Limits of the laser; see `LaserHead`."""
-
-    max_rate_hz: Annotated[Positive, Usual(0.5, 1e4)]
-    min_dt_us: Annotated[NotNegative, Usual(0.0, 1e3)] = 0.0
-    max_dt_us: Annotated[Positive, Usual(1.0, 1e6)] = 1e6
-    lamp_to_q_switch_us: Annotated[Pair | None, Usual(40.0, 1e3)] = None
-    q_switch_to_light_us: Annotated[Pair, Usual(0.0, 0.9)] = [0.0, 0.0]  # noqa: RUF012 - pydantic copies it
-    pulse_us: Annotated[Positive, Usual(0.5, 90.0)] = TRIGGER_US
-    lamp_rate_hz: Annotated[Positive | None, Usual(0.5, 200.0)] = None
-    max_duty: Annotated[float, Field(gt=0.0, le=0.5)] = 0.5
-    warmup_s: Annotated[NotNegative, Usual(0.0, 3600.0)] = 600.0
-
-    def head(self) -> LaserHead:
-        """Return the same as the laser wants it."""
-        given: dict[str, Any] = self.model_dump(exclude={"warmup_s"})
-        given |= {key: tuple(pair) for key, pair in given.items() if isinstance(pair, list)}
-        return LaserHead(**given)
 
 
 class ExposuresTable(Table):
@@ -53,15 +31,6 @@ class ExposuresTable(Table):
         return PairExposures(**self.model_dump())
 
 
-class AlignTable(Table):
-    """Limits of the alignment mode; see `LowEnergyRules`."""
-
-    max_rate_hz: Positive = 10.0
-    max_s: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
-    q_switch_delay_us: Positive | None = None
-    pulse_us: Positive | None = None
-
-
 class TimingTable(Table):
     """The section of a device of kind `timing`, without `kind`."""
 
@@ -70,13 +39,13 @@ class TimingTable(Table):
     baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
     identity: str | None = None
     channels: dict[str, str]
-    head: HeadTable
+    head: LaserHead
     exposures: ExposuresTable | None = None
     chunk_s: Annotated[float, Field(gt=0.0, le=10.0)] = 10.0
     clear_mm: Annotated[Annotated[float, Field(ge=0.0, le=1000.0)], Usual(0.5, 30.0)] = CLEAR_MM
     dark_us: Positive | None = None
     uncounted: bool = False
-    align: AlignTable | None = None
+    align: LowEnergyRules | None = None
     switches: dict[str, SwitchTable] = {}  # noqa: RUF012 - pydantic copies it
     gate: Literal["high", "low"] | None = None
 
@@ -117,11 +86,11 @@ class TimingTable(Table):
             clear_mm=self.clear_mm,
             dark_us=self.dark_us,
             uncounted=self.uncounted,
-            align=None if self.align is None else LowEnergyRules(**self.align.model_dump()),
+            align=self.align,
         )
 
 
-def _not_weak(align: AlignTable, head: HeadTable) -> str | None:
+def _not_weak(align: LowEnergyRules, head: LaserHead) -> str | None:
     """Say what keeps alignment from being weak; None if nothing is known to."""
     if head.lamp_to_q_switch_us is None:
         if align.pulse_us is None or align.pulse_us >= head.pulse_us:

@@ -6,14 +6,14 @@ from itertools import pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from stages.axis_settings import AxisSettings
-from stages.errors import StageUsageError
 from stages.profile import Approach, duration_s, legs
 from tests.loops import loop_over
 
-UP = Approach(True, 0.5, 1.0)
-DOWN = Approach(False, 0.5, 1.0)
+UP = Approach(side="from_below", distance_mm=0.5, speed_mm_s=1.0)
+DOWN = Approach(side="from_above", distance_mm=0.5, speed_mm_s=1.0)
 
 
 @given(st.floats(-100, 100), st.floats(-100, 100), st.sampled_from([UP, DOWN]))
@@ -43,13 +43,16 @@ def test_duration_is_that_of_the_integrated_trapezoid(distance_mm, speed, accele
     assert sum(speeds) * total / pieces == pytest.approx(distance_mm, rel=2e-3)
 
 
+APPROACH = {"side": "from_below", "distance_mm": 0.5, "speed_mm_s": 1.0}
+
+
 @loop_over(
     "change",
     [
-        {"limits_mm": (0.0, 0.0)},
-        {"limits_mm": (1.0, 0.0)},
-        {"limits_mm": (0.0, math.inf)},
-        {"limits_mm": (math.nan, 1.0)},
+        {"limits_mm": [0.0, 0.0]},
+        {"limits_mm": [1.0, 0.0]},
+        {"limits_mm": [0.0, math.inf]},
+        {"limits_mm": [math.nan, 1.0]},
         {"speed_mm_s": 0.0},
         {"acceleration_mm_s2": -1.0},
         {"sign": 0},
@@ -58,12 +61,16 @@ def test_duration_is_that_of_the_integrated_trapezoid(distance_mm, speed, accele
         {"in_position_um": 10.1},
         {"in_position_um": 0.0},
         {"steps_per_mm": 40.0},  # half a step is 12.5 um
-        {"approach": Approach(True, 200.0, 1.0)},
-        {"approach": Approach(True, 0.0, 1.0)},
+        {"approach": {**APPROACH, "distance_mm": 200.0}},
+        {"approach": {**APPROACH, "distance_mm": 0.0}},
+        {"approach": {**APPROACH, "speed_mm_s": 11.0}},
     ],
 )
 def test_an_axis_that_makes_no_sense_is_refused(change):
-    good = {"channel": "1", "limits_mm": (0.0, 100.0), "speed_mm_s": 10.0, "acceleration_mm_s2": 50.0}
-    AxisSettings(**good)
-    with pytest.raises(StageUsageError):
+    good = {
+        "channel": 1, "limits_mm": [0.0, 100.0], "speed_mm_s": 10.0, "acceleration_mm_s2": 50.0,
+        "approach": APPROACH,
+    }  # fmt: skip
+    assert AxisSettings(**good).channel == "1"
+    with pytest.raises(ValidationError):
         AxisSettings(**{**good, **change})

@@ -5,9 +5,9 @@ import sys
 
 from daq.timing.conditions import Conditions
 from daq.timing.opened import open_laser
-from daq.timing.pulses import PairExposures, PulseTiming
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
 from daq.timing.supervisor import LaserSupervisor
-from daq.timing.timing_table import HeadTable, TimingTable
+from daq.timing.timing_table import TimingTable
 from stages.clock import SYSTEM_CLOCK
 
 GOOD = Conditions(True, True, True, 5.0, 10_000)
@@ -17,7 +17,7 @@ PIVLAB = {"q_switch_1": "2", "camera": "1"}
 
 
 def table(port, box, has_lamps, rate_hz):
-    head = HeadTable(max_rate_hz=rate_hz, warmup_s=0.0, lamp_to_q_switch_us=[180.0, 182.0] if has_lamps else None)
+    head = LaserHead(max_rate_hz=rate_hz, warmup_s=0.0, lamp_to_q_switch_us=[180.0, 182.0] if has_lamps else None)
     wired = PIVLAB if box.startswith("pivlab") else WIRED | (LAMPS if has_lamps else {})
     uncounted = {"uncounted": True, "identity": "oltSync:0012"} if box.startswith("pivlab") else {}
     return TimingTable(box=box, port=port, channels=wired, head=head, **uncounted)

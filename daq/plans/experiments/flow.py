@@ -35,7 +35,7 @@ from daq.plans.pulse_order import PulseOrder, check_pulses, check_same_trigger
 from ground.config import Name, Table
 from ground.plain_words import slip
 from ground.usual import Usual
-from stages.config import Positive
+from stages.profile import Positive
 
 MOST_PAIRS = 1_000_000
 LONGEST_CHUNK_S = 10.0

@@ -24,7 +24,7 @@ from daq.bench.bench_table import Bench
 from daq.plans.plan_table import PlanTable, Pose, Question, View
 from daq.plans.steps import Step
 from ground.usual import Usual
-from stages.config import Positive
+from stages.profile import Positive
 
 MIN_FOCUS_PLACES = 5  # places that a best one can be found from
 

@@ -7,7 +7,7 @@ from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
 from sim.mechanics.clock import VirtualClock
 from tests.daq.timing.fake_box import FakeBox
 
-HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
+HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=[180.0, 185.0])
 RULES = Rules(warmup_s=60.0, align=LowEnergyRules(q_switch_delay_us=80.0))
 EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
 TIMING = PulseTiming(20.0, 10.0)

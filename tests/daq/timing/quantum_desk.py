@@ -18,7 +18,7 @@ WIRING = {
     Role.MARKER: "F",
 }  # fmt: skip
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.CAMERA_B: "D"}
-HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
+HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=[180.0, 185.0])
 EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
 GOOD = Conditions(True, True, True, 5.0, 1000)
 

@@ -11,7 +11,7 @@ from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role, sched
 from tests.loops import loop_over
 
 LAMPS = LaserHead(
-    max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0), q_switch_to_light_us=(0.1, 0.2), min_dt_us=1.0
+    max_rate_hz=15.0, lamp_to_q_switch_us=[180.0, 185.0], q_switch_to_light_us=[0.1, 0.2], min_dt_us=1.0
 )
 DOUBLE = PairExposures(exposure_a_us=100.0, exposure_b_us=60_000.0, gap_us=1.5, start_delay_us=3.0, margin_us=1.0)
 

@@ -15,10 +15,10 @@ from daq.bench.opened import open_bench
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow
 from daq.timing.in_use import OffRequest
 from daq.timing.opened import open_laser
-from daq.timing.pulses import PairExposures, PulseTiming, Role
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from daq.timing.switches import NO_SWITCH, Switches, SwitchTable
-from daq.timing.timing_table import HeadTable, TimingTable
+from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import UntrustedProgram
 from rtpiv.verbs.operator import TerminalOperator
@@ -170,7 +170,7 @@ def firing_box(rate_hz=200.0, **switches):
     emulator.outputs.listen(lambda pulse: risen_s.append(time.monotonic()) if pulse.output == "B" else None)
     with PtyPort(Line(emulator, clock)) as port:
         wired = {"q_switch_1": "B", "q_switch_2": "D", "camera": "E"}
-        head = HeadTable(max_rate_hz=rate_hz)
+        head = LaserHead(max_rate_hz=rate_hz)
         table = TimingTable(box="qc9530", port=port.path, channels=wired, head=head, switches=switches)
         with open_laser(table, SYSTEM_CLOCK) as laser:
             laser.warm(rate_hz)

@@ -109,8 +109,8 @@ class JudgedLaser:
         self.address = f"fuzz-{id(self):x}"
         LINES[self.address] = self.line
         self.clock.lives = self.lives
-        pumped_us = (180.0, 182.0) if self.kind == "lamps" else None
-        head = LaserHead(15.0 if pumped_us else 200.0, lamp_to_q_switch_us=pumped_us)
+        pumped_us = [180.0, 182.0] if self.kind == "lamps" else None
+        head = LaserHead(max_rate_hz=15.0 if pumped_us else 200.0, lamp_to_q_switch_us=pumped_us)
         self.laser = Laser("laser", driver("laser", wiring, self.clock), head, RULES, self.clock)
         self.q_switches = {wiring[role] for role in Q_SWITCHES if role in wiring}
         self.emulator.outputs.listen(self.judge)
