@@ -16,12 +16,10 @@ displacements.json is a list with one entry a line, each with its seal (runs.sea
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Annotated,
-    Any,
     NotRequired,  # that of typing cannot be checked before Python 3.12
 )
 
@@ -49,40 +47,21 @@ Sigmas = tuple[float | None, float | None, float | None]
 
 
 class Moved(Record):
-    """An entry of displacements.json."""
+    """Displacement of one step from its reference [mm]: an entry of displacements.json."""
 
     tag: Tag
-    frames: tuple[Count, Count]
+    frames: tuple[Count, Count]  # first frame of the reference, first frame of the step
     commanded_mm: Way
     measured_mm: Way
     true_mm: Way | None
-    sigma_mm: NotRequired[tuple[SigmaMm | None, SigmaMm | None, SigmaMm | None]]  # where hands moved it
+    sigma_mm: NotRequired[tuple[SigmaMm | None, SigmaMm | None, SigmaMm | None]]  # of measured_mm, by hand
 
 
 _ENTRY: TypeAdapter[Moved] = TypeAdapter(Moved)
 _LIST: TypeAdapter[list[Moved]] = TypeAdapter(list[Moved])
 
 
-@dataclass(frozen=True, slots=True)
-class Displacement:
-    """Displacement of one step from its reference [mm]."""
-
-    tag: str
-    frames: tuple[int, int]  # first frame of the reference, first frame of the step
-    commanded_mm: Vector
-    measured_mm: Vector
-    true_mm: Vector | None
-    sigma_mm: Sigmas | None = None  # of measured_mm; None where no hand moves the target
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain data."""
-        tree = asdict(self)
-        if self.sigma_mm is None:
-            del tree["sigma_mm"]
-        return tree
-
-
-def displacements(bench: "Bench", steps: Sequence["Step"], entries: Sequence[Entry]) -> list[Displacement]:
+def displacements(bench: "Bench", steps: Sequence["Step"], entries: Sequence[Entry]) -> list[Moved]:
     """Return the displacement of every finished step that has a reference.
 
     Parameters
@@ -101,16 +80,16 @@ def displacements(bench: "Bench", steps: Sequence["Step"], entries: Sequence[Ent
             continue
         before, after = done[step.reference], done[step.index]
         has_truth = "true_mm" in before and "true_mm" in after
-        found.append(
-            Displacement(
-                step.tag,
-                (steps[step.reference].first_frame, step.first_frame),
-                _between(bench, before["planned_mm"], after["planned_mm"]),
-                _between(bench, before["measured_mm"], after["measured_mm"]),
-                _between(bench, before["true_mm"], after["true_mm"]) if has_truth else None,
-                _sigma(bench, before, after),
-            )
-        )
+        moved: Moved = {
+            "tag": step.tag,
+            "frames": (steps[step.reference].first_frame, step.first_frame),
+            "commanded_mm": _between(bench, before["planned_mm"], after["planned_mm"]),
+            "measured_mm": _between(bench, before["measured_mm"], after["measured_mm"]),
+            "true_mm": _between(bench, before["true_mm"], after["true_mm"]) if has_truth else None,
+        }
+        if (sigma_mm := _sigma(bench, before, after)) is not None:
+            moved["sigma_mm"] = sigma_mm
+        found.append(moved)
     return found
 
 
@@ -138,9 +117,9 @@ def _sigma(bench: "Bench", before: Entry, after: Entry) -> Sigmas | None:
     return (x, y, z)
 
 
-def write_displacements(folder: RunFolder, found: Sequence[Displacement]) -> None:
+def write_displacements(folder: RunFolder, found: Sequence[Moved]) -> None:
     """Write what `displacements` found to displacements.json; DiskError if it cannot be written."""
-    records = [add_seal(json.dumps(entry.to_dict(), allow_nan=False).encode()).decode() for entry in found]
+    records = [add_seal(json.dumps(entry, allow_nan=False).encode()).decode() for entry in found]
     write_text(folder.path / FILE, "\n".join(["[", *[f"{r}," for r in records[:-1]], *records[-1:], "]", ""]))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daq.errors import RunUnsuitable
-from daq.runs.displacement import Displacement, write_displacements
+from daq.runs.displacement import Moved, write_displacements
 from daq.runs.journal import Journal
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
@@ -88,7 +88,11 @@ def test_a_shift_run_says_what_was_measured(tmp_path):
         pairs_of(folder.path)
     way, real = (1.0, 0.0, 0.0), (1.001, 0.0, 0.0)
     write_displacements(
-        folder, [Displacement("b", (0, 1), way, real, None), Displacement("d", (2, 3), way, real, None)]
+        folder,
+        [
+            Moved(tag="b", frames=(0, 1), commanded_mm=way, measured_mm=real, true_mm=None),
+            Moved(tag="d", frames=(2, 3), commanded_mm=way, measured_mm=real, true_mm=None),
+        ],
     )
     found = pairs_of(folder.path)
     assert [(pair.tag, pair.glass, pair.commanded_mm, pair.measured_mm, pair.dt_s) for pair in found.pairs] == [

@@ -11,7 +11,7 @@ import pytest
 
 from correction.fitted import prepared
 from correction.grid import grid_of
-from daq.runs.displacement import Displacement, write_displacements
+from daq.runs.displacement import Moved, write_displacements
 from daq.runs.frame_accounting import FrameAccounting
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
@@ -76,7 +76,7 @@ def shift_run(tmp_path_factory):
         frames = [len(prints), len(prints) + 1]
         prints.append((tag.replace("_b", "_a"), view, "particles", sheet, None))
         prints.append((tag, view, "particles", moved, frames[0]))
-        found.append(Displacement(tag, tuple(frames), shift, shift, None))
+        found.append(Moved(tag=tag, frames=tuple(frames), commanded_mm=shift, measured_mm=shift, true_mm=None))
     folder = run_folder(tmp_path_factory.mktemp("runs"), "shift", prints)
     write_displacements(folder, found)
     with pytest.MonkeyPatch.context() as patched:

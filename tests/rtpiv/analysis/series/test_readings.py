@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.runs.displacement import Displacement, write_displacements
+from daq.runs.displacement import Moved, write_displacements
 from daq.runs.journal import Journal
 from daq.runs.lab_readings import merge_readings, reading_statistics
 from daq.runs.run_folder import RunFolder
@@ -82,7 +82,10 @@ def test_a_pair_that_a_stage_moved_has_the_readings_of_both_its_steps(tmp_path):
         keep_frame(folder, journal, step["index"], pixels, step=step["index"], tag=step["tag"])
     journal.close()
     way = (1.0, 0.0, 0.0)
-    moved = [Displacement(tag, (0, frame), way, way, None) for frame, tag in ((1, "moved"), (2, "later"))]
+    moved = [
+        Moved(tag=tag, frames=(0, frame), commanded_mm=way, measured_mm=way, true_mm=None)
+        for frame, tag in ((1, "moved"), (2, "later"))
+    ]
     write_displacements(folder, moved)
     gauged(folder.path, *((number, {"flow": showed(value)}) for number, value in enumerate((4.0, 5.0, 9.0))))
     first, second = (task.readings["flow"] for task in tasks_of([folder.path], tmp_path / "out").tasks)
