@@ -29,7 +29,7 @@ from sim.camera.wires import Wires
 from sim.emulators.device import Clock
 from sim.emulators.flow_meter import FlowMeter
 from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
+from sim.emulators.protocol_sim import put_up
 from sim.emulators.recorded import RecordedBox
 from sim.light import LitFlow
 from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
@@ -50,21 +50,10 @@ LAG_S = 0.03  # more than an exposure lasts
 
 
 @contextmanager
-def _here(line: Line) -> Iterator[str]:
-    """Yield a port of this process for a line."""
-    address = f"device-{id(line):x}"
-    LINES[address] = line
-    try:
-        yield f"sim://{address}"
-    finally:
-        LINES.pop(address)
-
-
-@contextmanager
 def _port(line: Line, clock: Clock) -> Iterator[str]:
     """Yield the port of a line: in this process, or a terminal where the time of the world runs by itself."""
     if isinstance(clock, VirtualClock):
-        with _here(line) as port:
+        with put_up(line) as port:
             yield port
     else:
         from sim.emulators.pty import PtyPort  # not every system has such terminals
@@ -182,5 +171,5 @@ def simulate_reading(section: ReadingSection, world: World, clock: Clock) -> Ite
 @contextmanager
 def replay_reading(section: ReadingSection, path: Path, clock: Clock) -> Iterator[ReadingSection]:
     """Put up what answers from a recording while the block runs; yield the section with its port."""
-    with _here(Line(RecordedBox(path, clock), clock)) as port:
+    with put_up(Line(RecordedBox(path, clock), clock)) as port:
         yield section.model_copy(update={"port": port})

@@ -22,7 +22,7 @@ from sim.emulators.by_hand import HandScrews
 from sim.emulators.faults import FaultSchedule
 from sim.emulators.foreign_box import ForeignBox
 from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
+from sim.emulators.protocol_sim import put_up
 from sim.emulators.recorded import RecordedBox
 from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
@@ -204,7 +204,7 @@ class SimulatedStages:
     def in_process(self) -> Iterator[StagesTable]:
         """Offer every line under a ``sim://`` address of this process; yield the file with these ports."""
         with ExitStack() as stack:
-            yield self._with_ports({name: stack.enter_context(self._address_of(name)) for name in self.lines})
+            yield self._with_ports({name: stack.enter_context(put_up(line)) for name, line in self.lines.items()})
 
     @contextmanager
     def serve(self) -> Iterator[StagesTable]:
@@ -218,20 +218,10 @@ class SimulatedStages:
             ports = {}
             for name, line in self.lines.items():
                 if isinstance(line.emulator, ForeignBox | HandScrews):
-                    ports[name] = stack.enter_context(self._address_of(name))
+                    ports[name] = stack.enter_context(put_up(line))
                 else:
                     ports[name] = stack.enter_context(PtyPort(line)).path
             yield self._with_ports(ports)
-
-    @contextmanager
-    def _address_of(self, name: str) -> Iterator[str]:
-        """An address of this process for a line."""
-        address = f"{name}-{id(self):x}"
-        LINES[address] = self.lines[name]
-        try:
-            yield f"sim://{address}"
-        finally:
-            LINES.pop(address)
 
     def _with_ports(self, ports: Mapping[str, str]) -> StagesTable:
         controllers = {name: _at(table, ports[name]) for name, table in self.config.controllers.items()}

@@ -45,7 +45,7 @@ from daq.errors import (
 )
 from ground.named_program import import_program
 from stages.errors import DeviceLost
-from stages.foreign.calls import Calls
+from stages.foreign.calls import Calls, first_line
 
 REGION = ("OffsetX", "OffsetY", "Width", "Height")  # as the core returns it
 CHOICES = {"TriggerMode": ("Off", "On"), "TriggerSource": ("Software",), "TriggerSelector": ("FrameStart",)}
@@ -122,8 +122,7 @@ class CoreNodes:
         except SettingRefused:
             raise
         except Exception as error:  # whatever an adapter says
-            said = (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
-            raise SettingRefused(f"{', '.join(settings)}: refused: {said}") from error
+            raise SettingRefused(f"{', '.join(settings)}: refused: {first_line(error)}") from error
         return {name: self.get(name) for name in settings}
 
     def _set(self, name: str, value: Setting) -> None:
@@ -415,8 +414,7 @@ class MicroManagerCamera(CameraBase):
         except CameraError:
             raise
         except Exception as error:  # whatever an adapter says
-            said = (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
-            raise CameraError(f"{words}: Micro-Manager reports {said}") from error
+            raise CameraError(f"{words}: Micro-Manager reports {first_line(error)}") from error
 
     def _require_armed(self) -> None:
         _ = self.info

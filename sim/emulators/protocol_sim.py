@@ -6,6 +6,8 @@ instead of waiting.
 """
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import serial
 from typing_extensions import Buffer
@@ -14,6 +16,17 @@ from sim.emulators.line import Line
 from sim.mechanics.clock import VirtualClock
 
 LINES: dict[str, Line] = {}
+
+
+@contextmanager
+def put_up(line: Line) -> Iterator[str]:
+    """Yield the URL of a line while the block runs."""
+    name = f"line-{id(line):x}"
+    LINES[name] = line
+    try:
+        yield f"sim://{name}"
+    finally:
+        LINES.pop(name)
 
 
 class SimSerial(serial.SerialBase):

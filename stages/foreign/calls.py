@@ -189,3 +189,8 @@ class Calls:
                     self._changed.wait()
                     continue
                 return self._present
+
+
+def first_line(error: BaseException) -> str:
+    """First line of what a library has said."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]

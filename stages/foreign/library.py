@@ -27,7 +27,7 @@ from stages.errors import (
     StageUsageError,
     WrongDevice,
 )
-from stages.foreign.calls import Calls
+from stages.foreign.calls import Calls, first_line
 from stages.motion_controller import Channel, MotionController
 from stages.stop_latch import StopLatch
 
@@ -138,7 +138,7 @@ class ForeignLibrary(MotionController):
                 self.stop()  # said when it comes back, if it ever does
             raise
         except Exception as error:
-            raise CommandRejected(f"{self.name}, {words}: {_sentence(error)}", type(error).__name__) from error
+            raise CommandRejected(f"{self.name}, {words}: {first_line(error)}", type(error).__name__) from error
 
     def _look(self, channel: str) -> tuple[bool, float]:
         """Return whether the stage is busy, and what it reads [mm of the library]."""
@@ -214,8 +214,3 @@ class ForeignLibrary(MotionController):
     @abstractmethod
     def _begin_anew(self, table: ForeignTable) -> None:
         """Forget what was believed of the library that was open before."""
-
-
-def _sentence(error: BaseException) -> str:
-    """First line of what a library has said."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]

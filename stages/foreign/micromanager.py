@@ -21,6 +21,7 @@ from typing import Any
 from ground.named_program import import_program
 from stages.controller_tables import AdapterTable, ForeignTable, MicroManagerTable
 from stages.errors import PortUnavailable, StageUsageError, WrongDevice
+from stages.foreign.calls import first_line
 from stages.foreign.foreign_controller import ForeignController
 
 STAGE, XY_STAGE = 5, 6  # the core's types of devices
@@ -109,7 +110,7 @@ class MicroManager(ForeignController):
             try:
                 self._core.stop(label)
             except Exception as error:  # whatever one says, the others are stopped
-                said.append(str(error).splitlines()[0])
+                said.append(first_line(error))
         return "; ".join(said)
 
 
@@ -133,7 +134,7 @@ def _load_devices(core: Any, devices: Mapping[str, AdapterTable]) -> None:  # no
             core.loadDevice(label, device.library, device.device)
         except Exception as error:
             raise PortUnavailable(
-                f"{label}: {_first(error)}; is the adapter in the folder `adapters`, for version "
+                f"{label}: {first_line(error)}; is the adapter in the folder `adapters`, for version "
                 f"{core.getAPIVersionInfo()}?"
             ) from error
     late = []
@@ -165,7 +166,3 @@ def _load_file(core: Any, path: Path) -> str:  # noqa: ANN401
         raise StageUsageError(f"{path}:{line}: opening must not move anything; remove this line: {found[0]}...")
     core.loadSystemConfiguration(str(path))
     return f"{path.name} {hashlib.sha256(data).hexdigest()[:8]}"
-
-
-def _first(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
