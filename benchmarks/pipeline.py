@@ -18,8 +18,6 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +26,16 @@ import numpy as np
 from benchmarks.options import keep, options
 from benchmarks.processor_time import ProcessorTime
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import Bench
+from daq.bench.elements import CAMERA
 from daq.errors import DaqError
-from daq.live.live_page import BYTES_PER_PX, LivePage
-from daq.live.run_shown import RunShown
+from daq.live.live_page import LivePage
 from daq.plans.plan import load_plan
 from daq.runner.progress import Progress
 from daq.runner.session import Request, Run, begin, run_session
-from daq.runs.run_folder import RunFolder
+from ground.terminal import console
 from rtpiv.command_line.cli import ONE_THREAD
 from rtpiv.example_files import examples
+from rtpiv.verbs.acquire import run_pages
 from rtpiv.verbs.operator import ScriptOperator
 from sim.arranged import true_scene
 from sim.bench_table import simulation_of
@@ -89,19 +87,6 @@ def write_flow_bench(folder: Path, backend: str) -> Path:
     return folder / "bench.yaml"
 
 
-@contextmanager
-def shown(run: RunFolder, bench: Bench, live: bool) -> Iterator[tuple[LivePage, RunShown] | None]:
-    """A page for the run, if one is wanted; its address is printed."""
-    if not live:
-        yield None
-        return
-    width, height = bench.scene.camera.sensor_px
-    scene, board = bench.scene, bench.board
-    with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:  # as `rtpiv acquire --live` does
-        print(page.url, flush=True)
-        yield page, RunShown(page, run)
-
-
 class Viewer:
     """Somebody who opens the page; a process of its own (`benchmarks.viewer`)."""
 
@@ -148,10 +133,11 @@ def measure(folder: Path, asked: Namespace) -> dict[str, Any]:
             carried["cores"] = meter[0].report()
 
     try:
-        with shown(run, bench, asked.live) as watched:
-            page, run_shown = watched or (None, None)
-            watching, show = (watch, None) if run_shown is None else (run_shown.watching(watch), run_shown.show)
-            live = Run(request, bench, plan, run)
+        live = Run(request, bench, plan, run)
+        with run_pages(console(), live, asked.live) as pages:
+            shown = pages.get(CAMERA)
+            page, watching = (None, watch) if shown is None else (shown.page, shown.watching(watch))
+            show = {name: each.show for name, each in pages.items()}
             run_session(live, home=True, watcher=watching, operator=ScriptOperator(), show=show)
         carried["ended"] = "finished"
     except DaqError as error:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.elements import CAMERA
 from daq.live.live_page import LivePage
 from daq.live.scene_lines import LIT
 from daq.pipeline.job import Job
@@ -35,10 +36,13 @@ class RunShown:
         Of the run.
     recovered : str
         How much of what the balls hide is seen through them, said with every frame behind glass.
+    camera : str
+        Camera whose frames are shown.
     """
 
-    def __init__(self, page: LivePage, folder: RunFolder, recovered: str = "") -> None:
-        self._page, self._folder, self._recovered = page, folder, recovered
+    def __init__(self, page: LivePage, folder: RunFolder, recovered: str = "", camera: str = CAMERA) -> None:
+        self.page, self._folder, self._recovered, self._camera = page, folder, recovered, camera
+        self._title = folder.path.name if camera == CAMERA else f"{folder.path.name}, {camera}"
         self._progress = Progress()
         self._free_bytes, self._looked_s = 0, -math.inf
 
@@ -48,19 +52,19 @@ class RunShown:
         def both(progress: Progress) -> None:
             self._progress = progress
             waits = progress.doing == "exposing" and not progress.frames
-            self._page.say("waiting for the camera's first frame" if waits else progress.doing)
+            self.page.say("waiting for the camera's first frame" if waits else progress.doing)
             watcher(progress)
 
         return both
 
     def show(self, job: Job, corrected: NDArray[np.float32] | None) -> None:
         """Show a frame, and its correction if it has one; costs nothing if none is due."""
-        stats, rate_limiter = self._progress.stats, self._page.rate_limiter
+        stats, rate_limiter = self._progress.of(self._camera).stats, self.page.rate_limiter
         rate_limiter.see(time.monotonic(), stats.corrected, len(stats.skipped))
-        if not self._page.is_due:
+        if not self.page.is_due:
             return
-        words = words_of(self._progress) | {
-            "run": f"{self._folder.path.name}: {job.step.tag}",
+        words = words_of(self._progress, self._camera) | {
+            "run": f"{self._title}: {job.step.tag}",
             "bits": job.frame.meta.significant_bits,
             "shows": job.step.shows,
             "view": LIT if job.step.shows_light_sheet else job.step.view,
@@ -75,14 +79,15 @@ class RunShown:
         pictures: dict[str, NDArray[Any]] = {"raw": job.frame.pixels}
         if corrected is not None:
             pictures["corrected"] = corrected
-        self._page.show(words, pictures)
+        self.page.show(words, pictures)
 
     def _disk(self) -> dict[str, list[Any]]:
         """For how long the disk has room, at the rate of the run so far."""
         now_s = time.monotonic()
         if now_s - self._looked_s > DISK_S:
             self._looked_s, self._free_bytes = now_s, shutil.disk_usage(self._folder.path).free
-        rate = self._progress.stats.written_bytes / self._progress.run_time_s
+        cameras = self._progress, *self._progress.further.values()
+        rate = sum(each.stats.written_bytes for each in cameras) / self._progress.run_time_s
         text, little = f"{self._free_bytes / 1e9:.0f} GB", False
         if rate > 0.0:
             left_s = self._free_bytes / rate
@@ -91,10 +96,11 @@ class RunShown:
         return {"room on the disk": [text, little]}
 
 
-def words_of(progress: Progress) -> dict[str, Any]:
-    """Progress for the page: a sentence, and counters as name -> (text, whether that is wrong)."""
-    stats, frames = progress.stats, progress.accounting
-    raw, live = progress.waiting
+def words_of(progress: Progress, camera: str = CAMERA) -> dict[str, Any]:
+    """Progress for the page of a camera: a sentence, and counters as name -> (text, whether that is wrong)."""
+    own = progress.of(camera)
+    stats, frames = own.stats, own.accounting
+    raw, live = own.waiting
     latency = stats.latency_ms[-RECENT:]
     middle_ms = float(np.median(latency)) if latency else 0.0
     lost = frames.losses + frames.incomplete

@@ -204,7 +204,6 @@ class FlowStep:
         for side, pair in zip(self.sides, pairs, strict=True):
             side.keep(step, record, place, number, pair)
         self.progress.took(2, step.index)
-        self.progress.waiting = self.sides[0].pipeline.waiting
         self.tell("exposing")
 
 

@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from daq.bench.elements import CAMERA
 from daq.pipeline.stats import PipelineStats
 from daq.plans.steps import Step
 from daq.runs.frame_accounting import FrameAccounting
@@ -23,11 +24,22 @@ LEAP = 4.0  # times what it should take is the most that a single frame may slow
 
 
 @dataclass
-class Progress:
-    """State of a session; changed by the runner, read by the display.
+class CameraProgress:
+    """Frames of one camera of a session: their account, what waits to be written and corrected, and statistics."""
+
+    accounting: FrameAccounting = field(default_factory=FrameAccounting)
+    waiting: tuple[int, int] = (0, 0)
+    stats: PipelineStats = field(default_factory=PipelineStats)
+
+
+@dataclass(kw_only=True)
+class Progress(CameraProgress):
+    """State of a session and of its first camera; changed by the runner, read by the display.
 
     Parameters
     ----------
+    further : dict
+        Further cameras, by name.
     steps, step : int
         Steps of the plan, and the one that is being carried out.
     tag, doing : str
@@ -52,9 +64,7 @@ class Progress:
     frames: int = 0
     begun_s: float = field(default_factory=time.monotonic)
     positions_mm: dict[str, float] = field(default_factory=dict)
-    accounting: FrameAccounting = field(default_factory=FrameAccounting)
-    waiting: tuple[int, int] = (0, 0)
-    stats: PipelineStats = field(default_factory=PipelineStats)
+    further: dict[str, CameraProgress] = field(default_factory=dict)
     laser: LaserState | None = None
     readings: dict[str, str] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
@@ -69,6 +79,10 @@ class Progress:
     def run_time_s(self) -> float:
         """Time since the session began."""
         return max(1e-9, time.monotonic() - self.begun_s)
+
+    def of(self, camera: str) -> CameraProgress:
+        """Return that of a camera, by its name."""
+        return self if camera == CAMERA else self.further.setdefault(camera, CameraProgress())
 
     def expect(self, steps: Sequence[Step], missing: Sequence[int], steps_s: Sequence[float]) -> None:
         """Learn what is to be done: for each step how many frames, and the seconds that are expected of it."""

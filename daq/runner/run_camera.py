@@ -30,6 +30,7 @@ from daq.plans.steps import Step
 from daq.runner.camera_session import CameraSession
 from daq.runner.pair_source import PairSource
 from daq.runner.pair_writer import PairWriter
+from daq.runner.progress import CameraProgress
 from daq.runner.step_readings import camera_facts
 from daq.runs.displacement import displacements, write_displacements
 from daq.runs.done_file import run_hash
@@ -69,7 +70,7 @@ class RunCamera:
         show: Show | None = None,
     ) -> None:
         self.name = name
-        self.hardware = hardware if name == CAMERA else hardware.as_seen_by(name)
+        self.hardware = hardware.as_seen_by(name)
         self.folder = folder
         self._corrections = corrections
         self._live_queue, self._show = live_queue, show
@@ -164,6 +165,12 @@ class RunCamera:
         return PairWriter(self.folder, self.journal, self.pipeline, source)
 
     # ---- while it goes on ----------------------------------------------------------------------
+
+    def report(self, progress: CameraProgress) -> None:
+        """Write what has become of its frames so far into the progress."""
+        if self._pipeline is not None:
+            progress.stats, progress.waiting = self._pipeline.stats, self._pipeline.waiting
+        progress.accounting = self.session.accounting_so_far(progress.stats.written)
 
     def note_camera(self) -> None:
         """Have on the record what the camera tells of its clock and its temperature."""

@@ -156,7 +156,6 @@ class Runner:
             for camera in used:
                 camera.set_up(left)
             first = self._first
-            self.progress.stats = first.pipeline.stats
             frames = StepFrames(first, self.interrupts, self.progress, self._tell)
             flow = None
             if any(step.pulses is not None for step in left):
@@ -301,5 +300,7 @@ class Runner:
 
     def _tell(self, doing: str, accounting: FrameAccounting | None = None) -> None:
         self.progress.doing, self.progress.laser = doing, self._laser_session.state
-        self.progress.accounting = accounting or self._first.session.accounting_so_far(self.progress.stats.written)
+        for camera in self._cameras:
+            camera.report(self.progress.of(camera.name))
+        self.progress.accounting = accounting or self.progress.accounting
         self._watcher(self.progress)

@@ -219,7 +219,7 @@ def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable
 def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
     """Make the folder of a new run, and in it those of its further cameras."""
     beside = {
-        name: _about(_request_for(name, request), _as_seen_by(name, bench), plan)
+        name: _about(_request_for(name, request), bench.as_seen_by(name), plan)
         for name in plan.table.further_cameras
     }
     return RunFolder.create(parent, plan.name, _about(request, bench, plan), beside)
@@ -250,11 +250,6 @@ def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
 def _request_for(name: str, request: Request) -> Request:
     """Request for one camera: a further one has the scene of the bench file alone, and no dewarp."""
     return request if name == CAMERA else replace(request, scene=None, target_clear=None)
-
-
-def _as_seen_by(name: str, bench: Bench) -> Bench:
-    """The bench as a camera of the run sees it."""
-    return bench if name == CAMERA else bench.as_seen_by(name)
 
 
 def _pulses_of(step: Step) -> dict[str, Any]:
@@ -355,7 +350,7 @@ def run_session(
     watcher: Watcher | None = None,
     before: Callable[[OpenBench], None] | None = None,
     operator: Operator | None = None,
-    show: Show | None = None,
+    show: Mapping[str, Show] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Open the bench and do what is left of a run.
@@ -372,8 +367,8 @@ def run_session(
         Called with the open bench before anything moves.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its confirmation code.
-    show : callable, optional
-        Gets each frame that is corrected as it arrives, for a page.
+    show : mapping of str to callable, optional
+        For a camera's name, what gets each of its frames as it arrives, for a page.
     say : callable, optional
         Gets what an alignment sees and moves, a sentence each.
 
@@ -390,10 +385,10 @@ def run_session(
     request, bench, plan, folder, again = run.request, run.bench, run.plan, run.folder, run.again
     left = remaining(plan.steps, folder.entries(), again)
     folders = {CAMERA: folder, **folder.cameras()}
-    shapes = [_as_seen_by(name, bench).scene.camera.shape for name in folders]
+    shapes = [bench.as_seen_by(name).scene.camera.shape for name in folders]
     pixels = sum(height * width for height, width in shapes)
     check_disk(folder.path, 2 * pixels * frame_count(left) * (2 if request.correct else 1))
-    progress = Progress(len(plan.steps))
+    progress = Progress(steps=len(plan.steps))
 
     def tell(doing: str) -> None:
         progress.doing = doing
@@ -402,7 +397,7 @@ def run_session(
 
     corrections = {
         name: make_corrections(
-            _request_for(name, request), _as_seen_by(name, bench), folder.path.parent / MAPS, left
+            _request_for(name, request), bench.as_seen_by(name), folder.path.parent / MAPS, left
         )
         for name in folders
     }
@@ -428,7 +423,7 @@ def run_session(
         if home:
             _home(hardware, operator or NoOperator(), tell)
         cameras = [
-            RunCamera(hardware, its, corrections[name], name, request.live_queue, show if name == CAMERA else None)
+            RunCamera(hardware, its, corrections[name], name, request.live_queue, (show or {}).get(name))
             for name, its in folders.items()
         ]
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed

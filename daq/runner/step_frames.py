@@ -126,7 +126,6 @@ class StepFrames:
                     Job(step, step.first_frame + place, placed, {**record, **self.camera.session.facts(frame)})
                 )
                 self.progress.took(1, step.index)
-                self.progress.waiting = self.camera.pipeline.waiting
                 self.tell("exposing")
                 if step.may_have_gaps and self.interrupts.is_end_wanted:
                     break

@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ from rich.console import Console
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
-from daq.bench.elements import Vector
+from daq.bench.elements import CAMERA, Vector
 from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, require_camera_libraries
 from daq.bench.rehearsal import Rehearsal
@@ -244,15 +244,15 @@ def run_and_report(
     """Execute the remaining steps of a run, and print its result or how to resume."""
     request, folder = run.request, run.folder
     try:
-        with watch(error_console()) as watcher, _run_page(screen, run, live) as shown:
-            watchers = watcher if shown is None else shown.watching(watcher)
-            show = None if shown is None else shown.show
+        with watch(error_console()) as watcher, run_pages(screen, run, live) as shown:
+            for page in shown.values():
+                watcher = page.watching(watcher)
             done = run_session(
                 run,
                 home,
-                watchers,
+                watcher,
                 operator=person,
-                show=show,
+                show={name: page.show for name, page in shown.items()},
                 say=lambda sentence: screen.print(sentence, soft_wrap=True, highlight=False),
             )
     except (BadBalance, FrameDoubt):
@@ -278,24 +278,28 @@ def run_and_report(
 
 
 @contextmanager
-def _run_page(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]":
-    """Serve a page of the run, if one is wanted."""
+def run_pages(screen: Console, run: Run, live: bool) -> "Iterator[dict[str, RunShown]]":
+    """Serve a page of each camera of the run, if they are wanted; by the names of the cameras."""
     if not live:
-        yield None
+        yield {}
         return
     from daq.live.live_page import BYTES_PER_PX, LivePage
     from daq.live.run_shown import RunShown
     from rtpiv.analysis.through_glass import through_scene
     from tracer.scene.scene_file import load_scene
 
-    bench, given = run.bench, run.request.scene
-    scene = bench.scene if given is None else load_scene(given)
-    width, height = scene.camera.sensor_px
-    board = bench.board
-    with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:
-        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
-        through = through_scene(scene)
-        yield RunShown(page, run.folder, "" if through is None else through.sentence)
+    further, shown = run.folder.cameras(), dict[str, RunShown]()
+    with ExitStack() as stack:
+        for name in (CAMERA, *further):
+            bench, given = run.bench.as_seen_by(name), run.request.scene
+            scene = bench.scene if given is None or name in further else load_scene(given)
+            width, height = scene.camera.sensor_px
+            page = stack.enter_context(LivePage(BYTES_PER_PX * width * height, 0, scene, bench.board))
+            whose = f" ({name})" if further else ""
+            screen.print(f"look at {page.url}{whose}", soft_wrap=True, highlight=False)
+            through = through_scene(scene)
+            shown[name] = RunShown(page, run.folder, "" if through is None else through.sentence, name)
+        yield shown
 
 
 def print_forecast(

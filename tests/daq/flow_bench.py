@@ -80,7 +80,7 @@ def write_flow(
     return path, plan
 
 
-def acquire_simulated(plan, bench, runs, operator="test"):
+def acquire_simulated(plan, bench, runs, operator="test", live=False):
     """Acquire on the simulated bench, homed, frames as they come; the run folder."""
-    frames = LiveFrames(correct=False)
+    frames = LiveFrames(correct=False, live=live)
     return acquire(plan, bench, runs, simulate=True, home=True, frames=frames, operator=operator)

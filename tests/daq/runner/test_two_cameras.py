@@ -11,6 +11,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.pairs_section import PairsSection
 from daq.cameras.frame import FrameMeta
 from daq.errors import FrameDoubt, PlanError, RunUsageError
+from daq.live.live_page import LivePage
 from daq.plans.plan import load_plan
 from daq.plans.pulse_order import PulseOrder
 from daq.runner import flow_step, pair_writer
@@ -52,9 +53,9 @@ def write_two(folder, backend="harvesters", faults="", further="", changes=("", 
     return path, plan
 
 
-def run(folder, **changes):
+def run(folder, live=False, **changes):
     bench, plan = write_two(folder, **changes)
-    return acquire_simulated(plan, bench, folder / "runs")
+    return acquire_simulated(plan, bench, folder / "runs", live=live)
 
 
 def judge(path, pairs):
@@ -108,6 +109,24 @@ def test_what_either_loses_is_lost_for_both(tmp_path, capsys, backend):
     (beside / "frames" / "000003.tif").unlink()
     with pytest.raises(Exception, match="behind"):
         check(path)
+
+
+def test_each_camera_has_a_page_and_both_lose_nothing_by_it(tmp_path, capsys, mocker):
+    pytest.importorskip("websockets")
+    shown = mocker.spy(LivePage, "show")
+    path = run(tmp_path, live=True, pairs=6, chunk=3, more="lost_at_most: 0.8\n", further=", faults: {dropped: [4]}")
+    judge(path, 6)
+    assert re.findall(r"^look at http://\S+ \((\w+)\)$", capsys.readouterr().out, re.MULTILINE) == ["camera", "behind"]
+    pages = {}
+    for call in shown.call_args_list:
+        page, words, pictures = call.args
+        pages.setdefault(id(page), []).append((words, pictures["raw"]))
+    first, beside = sorted(pages.values(), key=lambda seen: -seen[0][1].shape[1])
+    for seen, name, side in ((first, "", 0), (beside, ", behind", 16)):
+        assert {words["run"].partition(":")[0] for words, _ in seen} == {path.name + name}
+        assert {raw.shape[1] for _, raw in seen} == {first[0][1].shape[1] - side}
+    lost = [int(seen[-1][0]["counters"]["lost or incomplete"][0]) for seen in (first, beside)]
+    assert lost[0] < lost[1]  # each page its own camera's account
 
 
 @pytest.mark.slow
