@@ -18,7 +18,7 @@ of pairs and candidates (Bonferroni).  One thing that moves spoils p_k of others
 explains most of what the disparities before and after differ by, and those that explain nearly as much.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -79,6 +79,51 @@ class Knock:
     move: Floats
     sigma: Floats
     probability: float
+
+
+def alarm_t2(pairs: int, size: int, candidates: int) -> float:
+    """Return T^2 of an alarm for a candidate of `size` numbers."""
+    freedom = DIFFERENCE_FREEDOM * (pairs - 2)
+    left = freedom - size + 1.0
+    ratio = scipy.special.fdtri(size, left, 1.0 - FALSE_ALARMS / (pairs * candidates))
+    return float(ratio * freedom * size / left)
+
+
+def least_move(covariance: Floats, pairs: int, first: int, candidates: int) -> float:
+    """Return the least move along the first two numbers that half of such runs show, whatever its direction.
+
+    Parameters
+    ----------
+    covariance : ndarray of float64, shape (P, P)
+        Of the position by one pair.
+    pairs, first : int
+        Pairs of the run, and the one before which it moves.
+    candidates : int
+        That are tested.
+    """
+    before, after = (min(count, MEAN_PAIRS) for count in (first, pairs - first))
+    weakest = float(np.linalg.eigvalsh(np.linalg.inv(covariance)[:2, :2])[0])
+    share = 1.0 / before + 1.0 / after
+    return float(np.sqrt(alarm_t2(pairs, len(covariance), candidates) * share / weakest))
+
+
+def least_knocks(
+    disparity: Floats, candidates: Sequence[Candidate], names: Collection[str], places: Sequence[int]
+) -> dict[str, list[float]]:
+    """Return the least knock of some candidates before each of some pairs that half of such runs would show."""
+    white = WhiteDisparity.of(disparity, candidates)
+    if white is None or len(disparity) < min_pairs(candidates):
+        return {}
+    found = dict[str, list[float]]()
+    for one in candidates:
+        if one.name in names:
+            follower = Follower.of(one, white)
+            positions, count = follower.positions(white.values), len(disparity)
+            found[one.name] = [
+                least_move(follower.covariance(positions, first), count, first, len(candidates))
+                for first in places
+            ]
+    return found
 
 
 def min_pairs(candidates: Sequence[Candidate]) -> int:

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+MAX_SIGMA_W_PX = 0.3  # of a pair or a mean whose w is reported
 Floats = NDArray[np.float64]
 
 

@@ -6,21 +6,29 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
+from rich.console import Console
 from rich.table import Table
 
 from daq.atomic_write import write_text
 from daq.errors import RunUsageError
 from ground.terminal import console
 from rtpiv.analysis.pictures.drawing_process import drawing
+from rtpiv.analysis.report.table import Table as ReportTable
+from rtpiv.analysis.through_glass import percent
 from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
+from rtpiv.analysis.views.two_cameras import MAX_SIGMA_W_PX, RUN_PAIRS, at_degrees, best_places
 from rtpiv.options.numbers import Positive
-from rtpiv.templates.files import scene_text
+from rtpiv.templates.files import scene_of, scene_text
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene
 
 SHOWN_VIEWS = 15  # rows of the table
+SHOWN_PAIRS = 5  # of places of two cameras
 WRITTEN = 50  # scene files
 SAID = 3  # reasons why something cannot be
 
@@ -53,6 +61,7 @@ def compare(
     f_number: Positive = 22.0,
     error_px: Positive = 0.1,
     pictures: bool = True,
+    cameras: Literal[1, 2] = 1,
 ) -> Compared:
     """Compute the view of every combination; print the Pareto front, and write its scene files.
 
@@ -69,6 +78,9 @@ def compare(
         Largest acceptable noise of a displacement [corrected px].
     pictures : bool
         Draw ``compare.png``.
+    cameras : {1, 2}
+        Number of cameras; for two also search the best pair of places on an arc about the y axis, by the first
+        arrangement of the front, and write their scenes ``scenes/pair-1.yaml``, ``scenes/pair-2.yaml``.
 
     Returns
     -------
@@ -109,6 +121,8 @@ def compare(
         for number, view in enumerate(best[:WRITTEN], start=1):
             scenes.append(out / "scenes" / f"{number:02d}.yaml")
             write_text(scenes[-1], scene_text(replace(view.lab, name=f"view{number:02d}")))
+        if cameras > 1 and best:
+            _search_places(screen, scene_of(best[0].lab), out / "scenes")
         picture = None
         if pictures and best:
             picture = out / "compare.png"
@@ -116,6 +130,21 @@ def compare(
                 draw("rtpiv.analysis.pictures.results:draw_views", picture, views, best, error_px)
         screen.print(f"compare.csv{', compare.png' if picture else ''} and {len(scenes)} scene files are in {out}")
         return Compared(views, best, tuple(scenes), picture)
+
+
+def _search_places(screen: Console, scene: Scene, folder: Path) -> None:
+    """Print the best pairs of places of two cameras, and write the scenes of the first."""
+    found = best_places(scene)
+    rows = [
+        (f"{one:+d}, {two:+d}", percent(pair.union), percent(pair.with_w), f"{pair.sigma_w_px:.3f}",
+         f"{max((least for _, least in pair.balls.values()), default=math.nan):.0f}")
+        for pair in found[:SHOWN_PAIRS] for one, two in [pair.degrees]
+    ]  # fmt: skip
+    title = f"two cameras before arrangement 1; w to {MAX_SIGMA_W_PX:g} px a pair, a knock among {RUN_PAIRS} pairs"
+    columns = ("degrees about y", "recovered", "with w", "sigma of w [px]", "least knock [um]")
+    screen.print(ReportTable(title, columns, rows))
+    for number, degrees in enumerate(found[0].degrees, start=1):
+        write_text(folder / f"pair-{number}.yaml", dump_scene(at_degrees(scene, degrees)))
 
 
 def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count: int) -> Table:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from correction.grid import PlaneGrid
-from correction.light_sheet.double_views import double_views
+from correction.light_sheet.double_views import AROUND, double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.maps.lit import LEAST_BRIGHTNESS, MOST_BRIGHTNESS, light_of, through_light
@@ -25,6 +25,7 @@ from rtpiv.analysis.through_glass import BodyShare, PlaneShare, percent, plane_s
 from rtpiv.analysis.views.arranged import little
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.analysis.views.sigma_forecast import CentreSigma, packing_forecast
+from rtpiv.analysis.views.two_cameras import ball_sentences, seen_twice, two_cameras
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from tracer.errors import SceneError
@@ -71,7 +72,12 @@ class Traced:
 
 
 def trace(
-    scene: Named | Scene, /, out: Named | None = None, pictures: bool = True, overwrite: bool = False
+    scene: Named | Scene,
+    /,
+    out: Named | None = None,
+    pictures: bool = True,
+    overwrite: bool = False,
+    beside: Named | Scene | None = None,
 ) -> Traced:
     """Trace a scene; print its view of the plane, and write pictures.
 
@@ -90,6 +96,9 @@ def trace(
         Draw figures.
     overwrite : bool
         Overwrite figures of another scene in the given folder.
+    beside : path or Scene, optional
+        Scene of a second camera at the same time: print what both recover, how well a pair tells the velocity
+        through the sheet and the places of the balls, and which knock of a ball would be found.
 
     Returns
     -------
@@ -152,9 +161,14 @@ def trace(
             slant = ShownSlant.of(correction_map, loaded)
             if slant.steepness.sentence:
                 screen.print(slant.steepness.sentence)
-            forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), given, loaded, ray_map)
-            if forecast is not None:
-                screen.print(forecast.sentence)
+            file = None if isinstance(scene, Scene) else Path(scene)
+            forecast, moves = _sheet_forecast(file, given, loaded, ray_map)
+            for line in [] if forecast is None else [forecast.sentence, *moves]:
+                screen.print(line)
+            if beside is not None:
+                other = beside if isinstance(beside, Scene) else load_scene(beside)
+                for line in two_cameras(loaded, _in_bed(other)).sentences:
+                    screen.print(line, soft_wrap=True)
             if not isinstance(scene, Scene) and (contact_mm := load_priors(scene).contact_mm) is not None:
                 screen.print(_packing_table(packing_forecast(given, contact_mm)))
             del ray_map
@@ -222,16 +236,19 @@ def _in_bed(scene: Scene) -> Scene:
     return lit if lit.light is not None or lit.spheres_in_plane else scene
 
 
-def _sheet_forecast(path: Path | None, scene: Scene, shown: Scene, ray_map: RayMap) -> SheetForecast | None:
-    """Return the forecast for finding the light sheet, where glass can stand in front of it."""
+def _sheet_forecast(
+    path: Path | None, scene: Scene, shown: Scene, ray_map: RayMap
+) -> tuple[SheetForecast | None, list[str]]:
+    """Return the forecast for the light sheet, where glass can stand in front of it, and for balls that move."""
     fitted = path is not None and path.with_name(FIT_FILE).is_file()
     sigma = scene_sigma_beside(path, scene, dewarped=False) if path is not None and fitted else "no fit"
     try:
         lit = shown if shown.sheet is None else scene.in_light_sheet()
     except SceneError:  # `correct` reports it: the glass may stand elsewhere then
-        return None
+        return None, []
     views = double_views(lit, ray_map if lit is shown else None, SHEET_STEP)
-    return sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
+    forecast = sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
+    return forecast, ball_sentences(seen_twice(lit, views.at(views.free(AROUND))))
 
 
 def _plane_table(title: str, share: PlaneShare) -> Table:

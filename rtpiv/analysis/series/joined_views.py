@@ -55,7 +55,6 @@ from rtpiv.analysis.series.series_plan import MAX_CHUNK_PAIRS, chunk_path
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.through_glass import percent, through_glass
 
-MAX_SIGMA_W_PX = 0.3  # of a pair or a mean whose w is reported
 MOST_OFTEN = 0.5  # of the pairs of a place that must have w, for its mean to have one
 MIN_W_PLACES = 30  # with w that tell its size where it is not determined
 NEVER = 1e-100  # standard uncertainty that no w has

@@ -6,14 +6,14 @@ So a run that stands still has one map, and one that drifts has one for each lim
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import grid_of
 from correction.self_check.drift import CandidatePath, drifting, find_changes
-from correction.self_check.knocks import Knock, min_pairs
+from correction.self_check.knocks import Knock, least_knocks, min_pairs
 from piv.errors import PairError
 from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.sheet_of_views import BALL, candidates_of, disparities_of, position_rates
@@ -23,7 +23,7 @@ from tracer.scene.scene import Scene
 
 FOLLOW_LIMIT_PX = 0.02  # change of the places that a map shows, but for rims, from which a pair gets another map
 NEARLY_ALL = 0.95  # of the windows behind a ball: near its rim a pixel is anywhere
-MIN_SURE_PAIRS = 50  # of which knocks of 20 um were all found, of 20 pairs half of them
+END_PAIRS = 5  # before the end of a run, for which the least knock is stated as well
 Floats = NDArray[np.float64]
 
 
@@ -37,10 +37,14 @@ class Moves:
         The clearest knock.
     paths : tuple of CandidatePath
         Of everything that may move.
+    least_mm : dict
+        For each ball, the least knock sideways that half of such runs would show in the middle of the run and
+        `END_PAIRS` before its end.
     """
 
     knock: Knock | None
     paths: tuple[CandidatePath, ...]
+    least_mm: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def drifting(self) -> list[CandidatePath]:
@@ -72,8 +76,10 @@ def find_moves(series: Sequence[SeriesInput]) -> Moves:
     pairs, least = min(len(each.given.pairs) for each in series), min_pairs(candidates)
     if pairs < least:
         raise PairError(f"--knocks and --follow need {least} pairs or more, not {pairs}")
-    knock, paths = find_changes(disparities_of(series, pairs), candidates)
-    return Moves(knock, tuple(paths))
+    disparity = disparities_of(series, pairs)
+    knock, paths = find_changes(disparity, candidates)
+    balls = [one.name for one in candidates if one.name.startswith(BALL)]
+    return Moves(knock, tuple(paths), least_knocks(disparity, candidates, balls, (pairs // 2, pairs - END_PAIRS)))
 
 
 def follow_moves(series: Sequence[SeriesInput], moves: Moves) -> tuple[list[SeriesInput], int]:

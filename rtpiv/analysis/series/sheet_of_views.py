@@ -25,7 +25,7 @@ from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.strategies.sensitivity import landings
 
 STRANGERS = 2.0  # sigma that no sheet explains, from which a camera is asked for that was moved
-MOST_FRAMES = 100  # that are compared, of both pulses
+MOST_FRAMES, CHECKED_FRAMES = 100, 10  # that are compared, of both pulses, to measure the sheet; and to check it
 COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
 POSE = tuple(f"camera.{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
 BALL = "ball "  # begins the name of a candidate
@@ -33,13 +33,15 @@ SHEET_SIGMA = np.array([0.3, 0.003, 0.003])  # mm, and slopes: of a move of the 
 Floats = NDArray[np.float64]
 
 
-def sheet_of_views(series: Sequence[SeriesInput]) -> SheetByViews:
+def sheet_of_views(series: Sequence[SeriesInput], most: int = MOST_FRAMES) -> SheetByViews:
     """Measure the plane of the sheet over that for which the frames of views are corrected.
 
     Parameters
     ----------
     series : sequence of SeriesInput
         Views at the same time, pair by pair, on one grid; each is compared with the first.
+    most : int
+        Frames that are compared.
 
     Raises
     ------
@@ -54,7 +56,7 @@ def sheet_of_views(series: Sequence[SeriesInput]) -> SheetByViews:
     slopes = [_slopes(each) for each in series]
     parts = list[tuple[Floats, Floats, Floats, Floats]]()
     for other, slope in zip(others, slopes[1:], strict=True):
-        disparity, sigma = _disparity(first, other)
+        disparity, sigma = _disparity(first, other, most)
         of_mm = disparity * grid.pitch_mm, sigma * grid.pitch_mm
         parts.append((places, *of_mm, slope - slopes[0]))
     place, apart, unsure, slope = (np.concatenate([part[k].reshape(-1, 2) for part in parts]) for k in range(4))
@@ -138,9 +140,9 @@ def _disparities(first: SeriesInput, other: SeriesInput, count: int) -> Iterator
         yield uv, sigma
 
 
-def _disparity(first: SeriesInput, other: SeriesInput) -> tuple[Floats, Floats]:
+def _disparity(first: SeriesInput, other: SeriesInput, most: int) -> tuple[Floats, Floats]:
     """Mean of the displacements, and its random uncertainty."""
-    count = min(MOST_FRAMES, 2 * len(first.given.pairs), 2 * len(other.given.pairs))
+    count = min(most, 2 * len(first.given.pairs), 2 * len(other.given.pairs))
     weight = total = square = np.zeros(())
     number, why = 0, ""
     for found in _disparities(first, other, count):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.self_check.knocks import Candidate, find_knock, min_pairs
+from correction.self_check.knocks import Candidate, find_knock, least_knocks, min_pairs
 
 PLACES, NOISE_MM, PAIRS = 300, 0.006, 24  # positions scatter by 3 um a pair, as in frames of 504 px
 X, Y = np.random.default_rng(5).uniform(-1.0, 1.0, (2, PLACES))
@@ -58,6 +58,22 @@ def test_quiet_and_drifting_runs_have_none():
     for seed in range(12):
         assert find_knock(disparities(100 + seed), candidates()) is None
     assert find_knock(disparities(1, drift_mm=0.005, pairs=200), candidates()) is None
+
+
+@pytest.mark.parametrize("first", [PAIRS // 2, PAIRS - 5])
+def test_knocks_are_found_from_the_least_one_on(first):
+    runs = [
+        least_knocks(disparities(seed, pairs=PAIRS), candidates(), {"left"}, [first]) for seed in range(40, 44)
+    ]
+    least = float(np.mean([run["left"] for run in runs]))
+
+    def found(times):
+        moves = [(0.0, times * least, 0.0) if seed % 2 else (times * least, 0.0, 0.0) for seed in range(10)]
+        runs = [disparities(300 + seed, first, move) for seed, move in enumerate(moves)]
+        return sum(find_knock(run, candidates()) is not None for run in runs)
+
+    assert found(0.5) <= 2
+    assert found(1.8) == 10
 
 
 def test_few_pairs_and_nothing_seen_tell_nothing():
