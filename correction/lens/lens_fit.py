@@ -36,10 +36,12 @@ SQUARE = np.array((*[0.0] * 8, 1.0))  # what is likely before
 PRIOR = np.array((np.inf, np.inf, np.inf, 1.0, 5.0, 25.0, 0.1, 0.1, SQUARE_SIGMA))  # and its standard deviations
 FREE = np.array((*PRIOR[:8], np.inf))
 LEAST_POSES = 3
-MOST_FOCAL_SHARE = 0.02  # sigma of a focal length that is worth keeping
+WEAK_FOCAL_SHARE = 0.02  # sigma of a focal length from which more tilted boards are advised
+MOST_FOCAL_SHARE = 0.05  # and beyond which it is not worth keeping
 OFF_TIMES = 6.0  # of the usual scatter: marks beyond are left out
 FRAME_OFF_TIMES = 4.0  # rms of a frame over the median of all: beyond, another board or a bent one
 NOT_SQUARE, NOT_SQUARE_SIGMAS = 1e-3, 3.0  # by which width and height of pixels may differ
+TILT_CURE = "take more frames with the board tilted by 20 to 40 degrees, to the left, right, up and down"
 ROUNDS, SETTLED = 60, 1e-7
 FRONT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -83,6 +85,8 @@ class LensFit:
         What was added to the standard deviations of the marks.
     seen_aspect : (float, float)
         Height over width of a pixel by the frames alone, and its standard deviation.
+    lever : (str, float)
+        The frame on which the focal length depends most, and by how much it is longer without it [px].
     refused : dict
         Frame -> why it was not used.
     seen : dict
@@ -96,6 +100,7 @@ class LensFit:
     residual_px: dict[str, NDArray[np.float64]]
     board_sigma_px: float
     seen_aspect: tuple[float, float]
+    lever: tuple[str, float]
     refused: dict[str, str]
     seen: dict[str, SeenBoard] = field(repr=False)
 
@@ -119,6 +124,12 @@ class LensFit:
     def warnings(self) -> list[str]:
         """Sentences to read before the lens is used."""
         out = []
+        if self.sigma[0] > WEAK_FOCAL_SHARE * self.numbers[0]:
+            tag, moved_px = self.lever
+            out.append(
+                f"the focal length is known to {self.sigma[0] / self.numbers[0]:.1%} only: without {tag} alone it"
+                f" is {moved_px:+.0f} px off; {TILT_CURE}"
+            )
         if not self.has_square_pixels:
             width, height = self.camera.sensor_px
             out.append(
@@ -166,7 +177,7 @@ def fit_lens(
     Raises
     ------
     ViewsMissing
-        Fewer than three frames, or frames that do not determine the focal length to 2 %.
+        Fewer than three frames, or frames that do not determine the focal length to 5 %.
     """
     if len(boards) < LEAST_POSES:
         raise ViewsMissing(f"{len(boards)} frames show the board; {LEAST_POSES} are needed, 10 to 20 are good")
@@ -191,22 +202,25 @@ def fit_lens(
     boards = [board._replace(sigma_px=np.hypot(board.sigma_px, board_sigma_px)) for board in boards]
     prior = FREE
     numbers, left = _adjust(_Numbers(first.shared, first.poses[kept]), boards, used, prior)
-    seen = float(numbers.shared[8]), float(np.sqrt(_covariance(numbers, boards, used, prior)[8, 8]))
+    seen = float(numbers.shared[8]), float(np.sqrt(_covariance(numbers, boards, used, prior)[0][8, 8]))
     if abs(seen[0] - 1.0) <= max(NOT_SQUARE_SIGMAS * seen[1], NOT_SQUARE):  # the frames allow square pixels
         prior = np.array((*PRIOR[:8], aspect_sigma))
         numbers, left = _adjust(numbers, boards, used, prior)
-    covariance = _covariance(numbers, boards, used, prior)
+    covariance, moved_px = _covariance(numbers, boards, used, prior)
     if not np.sqrt(covariance[0, 0]) <= MOST_FOCAL_SHARE * numbers.shared[0]:
         raise ViewsMissing(
             f"the boards determine the focal length to {np.sqrt(covariance[0, 0]) / numbers.shared[0]:.1%} only;"
-            " take more frames with the board tilted by 20 to 40 degrees, to the left, right, up and down"
+            f" {TILT_CURE}"
         )
     tags = [board.tag for board in boards]
     camera = _camera(numbers.shared, sensor_px)
     residual = {tag: np.where(own[:, None], each, np.nan) for tag, each, own in zip(tags, left, used, strict=True)}
     poses = dict(zip(tags, numbers.poses, strict=True))
     marks = dict(zip(tags, boards, strict=True))
-    return LensFit(camera, numbers.shared, covariance, poses, residual, board_sigma_px, seen, refused, marks)
+    most = int(np.argmax(np.abs(moved_px)))
+    lever = tags[most], float(moved_px[most])
+    found = numbers.shared, covariance, poses, residual, board_sigma_px
+    return LensFit(camera, *found, seen, lever, refused, marks)
 
 
 def _excess(
@@ -394,8 +408,11 @@ def _cost(
 
 def _covariance(
     numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]], prior: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Covariance of the shared numbers, each variance the larger of both kinds."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Covariance (9, 9) of the shared numbers, each variance the larger of both kinds, and changes [px] (F,).
+
+    The latter are those of the focal length without one frame after the other.
+    """
     scale, _ = _scales(numbers)
     parts = [_reduce(frame) for frame in _linearise(numbers, boards, used)]
     total = sum(part.matrix for part in parts) + np.diag(scale**2 / prior**2)
@@ -404,4 +421,4 @@ def _covariance(
     moved = np.array([np.linalg.solve(total - part.matrix, -part.right) for part in parts])
     jackknife = ((moved - moved.mean(axis=0)) ** 2).sum(axis=0) * (len(parts) - 1) / len(parts)
     wider = np.sqrt(np.maximum(1.0, jackknife / np.diag(usual))) * scale
-    return np.asarray(usual * np.outer(wider, wider))
+    return np.asarray(usual * np.outer(wider, wider)), moved[:, 0] * scale[0]

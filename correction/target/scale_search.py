@@ -51,12 +51,13 @@ def find_patches(
     Parameters
     ----------
     frame, board, mask, square_px
-        As of `find_marks`; with `square_px` only its scale is searched.
+        As of `find_marks`; with `square_px` other scales are searched only where its own shows no board.
     """
     marks = find_marks(frame, board, mask, square_px)
     best = grow_marks(marks)
-    if square_px is not None:
-        return best
+    if square_px is not None:  # sharp cells of markers as wide as the filter hide the corners at its scale
+        enough = bool(best) and len(best[0].index) >= LEAST_BOARD
+        return best if enough else find_patches(frame, board, mask)
     if board.dots is not None:
         # Walls hide one level; the other is full by itself.
         walls_as_dark = bool(board.dots.levels) and not board.dots.bright

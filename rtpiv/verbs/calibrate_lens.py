@@ -68,16 +68,21 @@ def calibrate_lens(
     with results_in(out, "lens", overwrite=overwrite, made_from=made_from) as out:
         seen: list[SeenBoard] = []
         missed: dict[str, str] = {}
-        for number, path in enumerate(files):
+        waiting = list(files)
+        for number, path in enumerate(waiting):
             took = time.monotonic() - began
-            left = f", {took / number * (len(files) - number):.0f} s left" if number else ""
-            progress.print(f"{took:6.1f} s  {path.name} ({number + 1} of {len(files)}{left})")
+            left = f", {took / number * (len(waiting) - number):.0f} s left" if number else ""
+            progress.print(f"{took:6.1f} s  {path.name} ({number + 1} of {len(waiting)}{left})")
             try:
                 found = find_lattice(read_acquired(path, first.shape), board)
             except TargetNotFound as error:
                 missed[path.name] = str(error)
                 continue
+            missed.pop(path.name, None)
             seen.append(SeenBoard(path.name, found.plane_mm, found.position_px, found.sigma_px))
+            if board.codes is not None and found.board != board:  # one frame shows the layout for all
+                board = found.board
+                waiting += [file for file in files if file.name in missed]
         if not seen:
             name, why = next(iter(missed.items()))
             raise ViewsMissing(f"no frame shows the board; {name}: {why}")

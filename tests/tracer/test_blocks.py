@@ -185,6 +185,7 @@ def test_a_scene_file_holds_a_block(tmp_path: Path, bodies: list[object]) -> Non
         ([BOX | {"turned_deg": [0, 0, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}], "not both"),
         ([BOX | {"centre_mm": [0, 0, 400]}], "the camera is inside body 'box'"),
         ([BOX | {"centre_mm": [0, 0, 409], "wall_mm": 2}], "the camera stands in the glass of 'box'"),
+        ([BOX | {"centre_mm": [0, 0, 400], "wall_mm": 2}], "as kind: window, or correct"),
         ([PRISM | {"profile_mm": [[-10, -10], [10, -10], [0, 0], [-10, 10]]}], "must be a convex polygon"),
         ([PRISM | {"profile_mm": [[-10, -10], [10, -10], [-10, 10], [-10, -10]]}], "no thickness"),
         ([PRISM | {"profile_mm": [[0, 0], [10, 10], [10, 0], [0, 10]]}], "must be a convex polygon"),

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tracer.bodies import CONTACT_TOL_MM, Body
+from tracer.bodies import CONTACT_TOL_MM, Block, Body
 from tracer.camera import Vector3
 from tracer.kernels.branches import FIRST_OTHER, NOTHING
 from tracer.kernels.rooms import ONE_ROOM, OUTERMOST, Rooms
@@ -90,6 +90,9 @@ class Arrangement:
             if max(outside, inside) < -CONTACT_TOL_MM:
                 text = f"the camera stands in the glass of {wall.name!r} or behind its edge; move one of them"
                 found.append((wall.name, text))
+            elif inside > outside and isinstance(wall, Block):
+                text = f"the camera stands inside the hollow {wall.kind} {wall.name!r}; describe the wall that it"
+                found.append((wall.name, f"{text} looks through as kind: window, or correct centre_mm and L_mm"))
             for body in self._bodies:
                 if body.name == wall.name:
                     continue

@@ -75,6 +75,10 @@ def test_boards_that_all_face_the_camera_are_refused_and_tilted_ones_beside_them
         fit_lens(facing, SENSOR)
     tilted = boards(rng, matrix_of(2000.0), np.zeros(5), 4, tilt_deg=30.0)
     assert abs(fit_lens(facing + tilted, SENSOR).camera.focal_px - 2000.0) < 10.0
+    weak = boards(np.random.default_rng(20), matrix_of(2000.0), np.zeros(5), 9, 2.0, noise_px=0.1)
+    one = fit_lens([*weak, tilted[0]._replace(tag="tilted")], SENSOR)
+    assert abs(one.camera.focal_px - 2000.0) < 3.0 * one.sigma[0]
+    assert "without tilted alone it is" in one.warnings[0]
 
 
 def test_a_board_of_another_size_or_out_of_flat_is_named_and_left_out():
@@ -156,3 +160,24 @@ def test_frames_of_a_stage_with_other_names_are_told_how_to_be_named(tmp_path):
         match=r"no frame shows the board; .* by --board; or, of a board on a stage, name the frames target_clear",
     ):
         calibrate(tmp_path, square_mm=2.5, out=tmp_path / "lens", pictures=False)
+
+
+def test_a_frame_that_shows_the_layout_shows_it_for_frames_that_show_too_little(tmp_path, capsys):
+    drawn = cv2.aruco.CharucoBoard((9, 6), 1.0, 0.75, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+    drawn.setLegacyPattern(True)
+    paper = cv2.GaussianBlur(drawn.generateImage((900, 600), marginSize=30), (0, 0), 0.8)
+    tilts = [(0.0, 0.0), (0.5, 0.0), (-0.4, 0.3), (0.1, -0.5)]  # the first so near that no edge is in view
+    for number, tilt in enumerate(tilts):
+        turn, _ = cv2.Rodrigues(np.array((*tilt, 0.1 * number)))
+        lens, away = matrix_of(1500.0), np.array((0.0, 0.0, 1500.0 if number else 750.0))
+        shift = np.array(((1.0, 0.0, -450.0), (0.0, 1.0, -300.0), (0.0, 0.0, 1.0)))
+        to_frame = lens @ np.column_stack((turn[:, :2], away)) @ shift
+        frame = cv2.warpPerspective(paper, to_frame, SENSOR, borderValue=255)
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
+    board = tmp_path / "board.yaml"
+    words = "kind: charuco, square_mm: 9.0, marker_mm: 6.75, squares: [9, 6], dictionary: DICT_4X4_50"
+    board.write_text(f"{{{words}, origin_corner: [4, 3]}}")
+    found = calibrate(tmp_path, board=board, out=tmp_path / "lens", pictures=False)
+    assert sorted(found.poses) == ["0.png", "1.png", "2.png", "3.png"]
+    assert abs(found.camera.focal_px - 1500.0) < 4.0 * found.sigma[0]
+    assert "5 of 5" in capsys.readouterr().err
