@@ -7,10 +7,12 @@ by hand where a test needs a box that no emulator is.
 import errno
 import io
 import os
+import re
 import shutil
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,14 +20,20 @@ import yaml
 
 from daq.bench.bench_file import load_bench
 from daq.bench.rehearsal import Rehearsal
+from daq.plans.forecast import frames_s, simulation_s
+from daq.plans.plan import load_plan
 from ground.errors import ConfigError
+from ground.rows import thread_count
 from rtpiv.verbs.acquire import LiveFrames, acquire
+from sim.bench import SimulatedBench
 from sim.event_log import read_event_log
+from sim.expected import STEP_S
 from sim.rehearsed import Rehearsed
 from stages import dialogue
 from stages.dialogue import VARIABLE, read_dialogue
 from stages.errors import PortUnavailable, StageError
-from tests.daq.small_bench import write_bench
+from tests.daq.flow_bench import write_flow
+from tests.daq.small_bench import EXAMPLES, write_bench
 
 pytest_plugins = ("pytester",)
 FLOW = (
@@ -319,3 +327,46 @@ def test_a_run_of_a_plan_says_what_was_recorded_or_is_told_what_not(tmp_path, mo
     assert differs.startswith(f"target: {tmp_path / 'said' / 'target.txt'}:")
     assert "was said, 'MOV 3 " in differs
     assert "target.txt" in error
+
+
+# The expected time of a rehearsal beside the processor time that its pictures take, on several benches.
+
+
+TARGET = "experiment: target\nclear: {z_mm: [-10.0]}\nglass: {z_mm: [0.0]}\n"
+LENS = "\naperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}"
+
+
+@pytest.mark.parametrize(("scene", "simulation"), [
+    ("", "samples: 4"), ("", "samples: 3" + LENS), ("three_spheres_500.yaml", "samples: 4"),
+    ("furnace_window.yaml", "samples: 2"),
+])  # fmt: skip
+def test_pictures_take_what_was_expected(tmp_path, scene, simulation):
+    """By processor time: what else the computer does is not meant."""
+    side_px = 360
+    path = write_bench(tmp_path, side_px, f"{simulation}\ncamera_transport: memory")
+    if scene:
+        text = (EXAMPLES / scene).read_text()
+        text = re.sub(r"sensor_px: .*\]", f"sensor_px: [{side_px}, {side_px}]", text)
+        (tmp_path / "scene.yaml").write_text(text)
+    (tmp_path / "plan.yaml").write_text(TARGET)
+    bench = load_bench(path)
+    (step,) = [step for step in load_plan(tmp_path / "plan.yaml", bench).steps if step.view == "glass"]
+    simulation_s(bench, [step])  # code is loaded once
+    estimate_s = thread_count() * (sum(simulation_s(bench, [replace(step, frames=0)])) - STEP_S)
+    simulation = SimulatedBench(bench)
+    try:
+        simulation.place(step.targets_mm)
+        begun_s = sum(os.times()[:2])
+        simulation.world.light()
+        took_s = sum(os.times()[:2]) - begun_s
+    finally:
+        simulation.close()
+    assert took_s / 1.5 < estimate_s < 1.5 * took_s + 0.02  # ticks of 10 ms
+
+
+def test_a_flow_is_seen_in_real_time(tmp_path):
+    """Its pictures are small, and its pulses come at their rate."""
+    path, plan = write_flow(tmp_path, pairs=100, chunk=50)
+    bench = load_bench(path)
+    step = load_plan(plan, bench).steps[-1]
+    assert simulation_s(bench, [step])[0] > frames_s(bench, step) > 4.0

@@ -4,12 +4,14 @@ One bench, twelve lamps (`lamps`): white LEDs, LEDs of one colour, flat bands, s
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from correction.fit.judge.light_of_glass import light_of_glass
 from correction.fit.judge.result import SceneFit
-from correction.fit.judge.weakness import weaknesses
+from correction.fit.judge.weakness import _of_light, weaknesses
 from correction.fit.scene_fit import fit_scene
 from correction.fit.solve.light import any_lamp, light_uncertainty
 from correction.fitted.map_sigma import sigma_at
@@ -29,6 +31,7 @@ from tests.correction.fit.lamps import (
 )
 from tracer.light import line
 from tracer.light_table import LAMPS_DIFFER_NM, LightTable
+from tracer.media import MEDIA, MELTS, ConstantMedium, shifted
 from tracer.scene.fit_section import FitTable
 from tracer.strategies.ray_map import build_ray_map
 
@@ -252,3 +255,86 @@ def test_glass_that_is_a_number_is_said_to_hold_in_the_light_of_the_target_alone
     assert "the index of sphere1, sphere2 is a number without dispersion" in unsaid.sentence
     assert not light_uncertainty(nominal, LightTable(source="laser").light(nominal.wavelength_nm)).sentence
     assert not light_uncertainty(nominal.with_bodies(()), None).sentence
+
+
+# What glass that is called by its name says of the light of the target frames.
+
+
+GREEN = line(532.0)
+
+
+def fit_of(names, off, sigma, prior=0.005):
+    """A fit that found indices so far from the told light's, each as well as its sigma says."""
+    unit = np.full(len(names), prior)
+    return SimpleNamespace(
+        names=[f"glass {name}.n" for name in names],
+        x=np.array(off) / unit,
+        covariance=np.diag((np.array(sigma) / unit) ** 2),
+        unknowns=SimpleNamespace(sigma=unit),
+    )
+
+
+def test_a_red_lamp_told_as_green_is_seen_by_the_index_of_the_glass():
+    glass = MEDIA["N-BK7"]
+    red = glass.n(630.0) - glass.n(532.0)
+    seen = light_of_glass(fit_of(["N-BK7"], [red], [0.0009]), lab_scene(), GREEN, False)
+    slope = (glass.n(533.0) - glass.n(531.0)) / 2.0
+    alone = 1.0 / (0.0009**-2 - 0.005**-2)  # variance by the frames without the prior
+    assert seen.off_nm == pytest.approx(red * alone / 0.0009**2 / slope)
+    assert seen.sigma_nm == pytest.approx(np.hypot(np.sqrt(alone), MELTS["N-BK7"]) / -slope)
+    assert seen.alarm
+    assert "not 532 as fit.light tells" in str(seen)
+    assert 0.75 * seen.off_nm < seen.unsure_nm < seen.off_nm
+
+
+def test_two_glasses_tell_more_than_one_and_a_measured_one_counts_as_its_file_says():
+    nominal = lab_scene(PLASTICS)
+    off = [0.5 * (glass.n(552.0) - glass.n(512.0)) for glass in (MEDIA[name] for name in PLASTICS)]
+    both = light_of_glass(fit_of(PLASTICS, off, [0.002, 0.001]), nominal, GREEN, False)
+    one = light_of_glass(fit_of(PLASTICS[1:], off[1:], [0.001]), nominal, GREEN, False)
+    assert both.sigma_nm < one.sigma_nm
+    assert both.off_nm == pytest.approx(20.0, rel=0.25)
+    assert not both.alarm
+    assert both.unsure_nm == 0.0
+    melts = [shifted(ball.medium, 1e-4) for ball in nominal.spheres]
+    measured = nominal.with_bodies([replace(b, medium=m) for b, m in zip(nominal.spheres, melts, strict=True)])
+    assert light_of_glass(fit_of(PLASTICS, off, [0.002, 0.001]), measured, GREEN, False).sigma_nm > both.sigma_nm
+
+
+def test_who_says_how_well_the_light_is_known_is_believed_until_it_cannot_be():
+    told = replace(GREEN, unsure_nm=1.0)
+    for off, is_alarm in ((-0.0025, False), (-0.006, True)):
+        believed, doubted = (
+            light_of_glass(fit_of(["N-BK7"], [off], [0.001]), lab_scene(), told, word) for word in (True, False)
+        )
+        assert believed.alarm == doubted.alarm == is_alarm
+        assert doubted.unsure_nm > 30.0
+        assert believed.unsure_nm == (doubted.unsure_nm if is_alarm else 1.0)
+
+
+def test_glass_that_is_a_number_or_is_not_seen_says_nothing():
+    numbers = lab_scene().with_bodies([replace(b, medium=ConstantMedium(1.5)) for b in lab_scene().spheres])
+    assert light_of_glass(fit_of(["sphere1+sphere2"], [-0.006], [0.001]), numbers, GREEN, False) is None
+    assert light_of_glass(fit_of([], [], []), lab_scene(), GREEN, False) is None
+    assert light_of_glass(fit_of(["N-BK7"], [0.0], [0.005]), lab_scene(), GREEN, False) is None
+
+
+# What a calibration says of the light of its target frames: once, and in digits that mean something.
+
+
+def doubt(unsure_nm):
+    scene = demo_scene("two_spheres_500")
+    scene = scene.with_bodies([replace(ball, medium=MEDIA["N-BK7"]) for ball in scene.bodies])
+    return light_uncertainty(scene, replace(line(625.0), unsure_nm=unsure_nm))
+
+
+def test_how_well_a_wavelength_is_known_has_no_digits_beyond():
+    assert "is known to 117 nm, n to" in doubt(116.591).sentence
+    assert "is known to 4.6 nm, n to" in doubt(4.591).sentence
+
+
+def test_a_light_that_cannot_be_the_told_one_is_not_also_said_to_be_known():
+    fit = SimpleNamespace(light=doubt(116.591), verdict=SimpleNamespace(wrong_light=""))
+    assert len(_of_light(fit)) == 1
+    fit.verdict.wrong_light = "the light of the target frames seems to have a mean wavelength of 507 +- 14 nm"
+    assert _of_light(fit) == []

@@ -14,11 +14,12 @@ import scipy
 from correction.errors import FitFailed, TargetNotFound
 from correction.fit import camera_stage, glass_stage
 from correction.fit.camera_stage import find_camera
+from correction.fit.judge.weakness import describe_numbers, list_names
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import MeasuredFrame, TargetFrame
 from tests.correction.fit.drawn_labs import photographed
 from tests.correction.fit.drawn_optics import Lab
-from tests.correction.fit.faulty_labs import right
+from tests.correction.fit.faulty_labs import KINDS, faulty, right
 from tests.loops import loop_over
 from tests.slow_cases import slow
 from tracer.scene.fit_section import FitTable
@@ -147,3 +148,48 @@ def test_frames_out_of_focus_are_named_as_such():
         work = Progress(case.given, frames, case.board, FitTable(), lambda _: None)
         with pytest.raises(TargetNotFound, match=said):
             find_camera(work)
+
+
+# Sentences on what frames leave open of many balls: one for all of a quantity.
+
+
+BALLS = [f"ball{k}" for k in range(17)]
+
+
+def fitted(names, sigmas):
+    return SimpleNamespace(names=tuple(names), sigmas=np.array(sigmas))
+
+
+def test_one_quantity_of_many_balls_is_summarised_with_its_range():
+    names = tuple(f"{ball}.radius" for ball in BALLS)
+    words = describe_numbers(fitted(names, np.linspace(0.01, 0.02, 17)), names)
+    assert words.startswith("radius of 17 bodies (ball0, ball1 and others): +-")
+    assert " to " in words
+    assert len(words) < 80
+
+
+def test_few_numbers_and_different_ones_are_named_with_their_sigmas():
+    names = ("ball0.radius", "ball1.radius", "glass.n", "ball2.z")
+    words = describe_numbers(fitted(names, [0.01, 0.02, 0.001, 0.1]), names)
+    assert all(f"{name} (+-" in words for name in names)
+    assert list_names(["a"]) == "a"
+    assert list_names(["a", "b", "c"]) == "a, b and c"
+
+
+# Labs with one fault each: every kind can be drawn, and is a fault.
+
+
+SEED = 308
+
+
+def test_there_are_at_least_25_kinds():
+    assert len(KINDS) >= 25
+
+
+@loop_over("kind", KINDS)
+def test_every_kind_changes_something_and_says_what_must_be_said(kind):
+    sound, case = right(SEED), faulty(kind, SEED)
+    parts = ("given", "bare", "glass", "printed", "priors", "named_mm", "spoil", "pose")
+    assert any(getattr(sound, part) != getattr(case, part) for part in parts)
+    assert case.words
+    assert all(re.compile(words) for words in case.words)

@@ -1,13 +1,28 @@
 """Printed patterns against their definitions, point by point."""
 
 import math
+import re
 
+import cv2
 import numpy as np
 import pytest
+import tifffile
 
+from daq.errors import PlanError
+from daq.plans.forecast import check_views
+from rtpiv.command_line.cli import DONE, USAGE, main
+from sim.demo.frames import load_frames, make_frames
+from sim.demo.scenes import SCENES, at_size, demo_scene, misalign
 from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Plate, Pose, place, print_particles
+from sim.renderer.render import render_irradiance, tables_of
+from sim.renderer.sensor import SILENT
+from tests.daq.small_bench import load
 from tracer.board import LARGE_DOTS, Dots
+from tracer.bodies import Rod, Sphere
+from tracer.camera import Camera, look_at
 from tracer.errors import SceneError
+from tracer.media import ConstantMedium
+from tracer.scene.scene import Scene
 
 
 def at(pattern, *points):
@@ -128,3 +143,197 @@ def test_a_ray_meets_the_face_of_a_plate_its_grooves_or_the_wall_between(step_mm
     assert steep.tolist() == [np.float32(0.9 if face_first else 0.03) for face_first in on_face[:2]]
     with pytest.raises(SceneError, match="levels"):
         Plate(5.0, 2.5, discs=LARGE_DOTS, dots=Dots(1.5))
+
+
+# Supports on the simulated bench: what they hide, bodies beside the sheet, what cannot be drawn said at once.
+
+
+SIDE_PX, PX_PER_MM, L_MM = 121, 1.0, 500.0
+WHITE = Chessboard(400.0, 0.0, dark=1.0, bright=1.0)
+SUPPORT = (
+    "  - {name: support, kind: rod, start_mm: [-70.0, -60.0, -20.0],"
+    " end_mm: [70.0, -60.0, -20.0], radius_mm: 3.0}\n"
+)
+
+
+def scene_of(*bodies):
+    middle = 0.5 * (SIDE_PX - 1)
+    place = (0.0, 0.0, L_MM)
+    pose = look_at(place, (0.0, 0.0, 0.0))
+    return Scene(Camera(PX_PER_MM * L_MM, (middle, middle), (SIDE_PX, SIDE_PX), place, pose), bodies)
+
+
+def seen(*bodies, **options):
+    return render_irradiance(scene_of(*bodies), WHITE, samples=3, **options)
+
+
+def test_a_rod_and_an_opaque_ball_are_dark_where_they_stand_and_nowhere_else():
+    rod = Rod("rod", (-30.0, 20.0, 40.0), (30.0, 20.0, 40.0), 4.0)
+    ball = Sphere("lead", (-20.0, -25.0, 30.0), 8.0, None)
+    light = seen(rod, ball)
+    scale = L_MM / (L_MM - 40.0)  # thrown from the pinhole
+    middle = light[:, 60]
+    dark = np.flatnonzero(middle < 0.5)
+    y_mm = 60.0 - dark
+    assert y_mm.max() == pytest.approx(scale * 24.0, abs=1.0)
+    assert y_mm.min() == pytest.approx(scale * 16.0, abs=1.0)
+    scale = L_MM / (L_MM - 30.0)
+    area = float((light[61:] < 0.5).sum())
+    assert area == pytest.approx(np.pi * (8.0 * scale) ** 2, rel=0.06)
+    assert light[5, 5] == pytest.approx(1.0)
+    assert light[60 + round(25.0 * scale), 60 - round(20.0 * scale)] == 0.0
+
+
+def test_glass_beside_the_sheet_may_reach_past_its_plane_and_shows_no_sheet():
+    ball = Sphere("ball", (0.0, 45.0, 30.0), 20.0, ConstantMedium(1.5))
+    forward = place(WHITE, Pose().translate(z_mm=25.0))  # the ball's middle is 5 mm before it
+    with pytest.raises(SceneError, match="cuts through body 'ball'"):
+        render_irradiance(scene_of(ball), forward, samples=2)
+    with pytest.raises(SceneError, match="cuts through body 'ball'"):
+        render_irradiance(scene_of(ball), forward, samples=2, sheet_mm=(60.0, 60.0))
+    light = render_irradiance(scene_of(ball), forward, samples=2, sheet_mm=(60.0, 48.0))
+    assert light[60, 60] == pytest.approx(1.0)
+    assert light[12, 60] == 0.0  # through the middle of the ball one looks past the sheet
+
+
+@pytest.mark.parametrize("kind", ["rod", "opaque ball"])
+def test_a_support_beside_the_sheet_may_reach_past_it(kind):
+    body = (
+        Rod("post", (0.0, 50.0, 10.0), (0.0, 50.0, 80.0), 3.0)
+        if kind == "rod"
+        else Sphere("post", (0.0, 50.0, 25.0), 5.0, None)
+    )
+    pose = Pose().translate(z_mm=25.0)
+    assert len(tables_of(scene_of(body), pose, None, (80.0, 80.0)).world.bounds) == 1
+    with pytest.raises(SceneError, match="'post'"):
+        tables_of(scene_of(body), pose, None, (80.0, 120.0))
+
+
+def with_support(folder, text, **changes):
+    """The example bench with a support, its keep-out zone left out: nothing else would refuse."""
+    bench, plan = load(folder, **changes)
+    (folder / "scene.yaml").write_text((folder / "scene.yaml").read_text() + text)
+    bench_text = (folder / "bench.yaml").read_text()
+    (folder / "bench.yaml").write_text(re.sub(r"^keep_out:\n(  .*\n)+", "", bench_text, flags=re.MULTILINE))
+    return bench, plan
+
+
+DEEP = "experiment: target\nclear: {z_mm: [0.0]}\nglass: {z_mm: [0.0, -20.0]}\n"
+
+
+def test_what_cannot_be_drawn_is_refused_by_the_dry_run(tmp_path, capsys):
+    with_support(tmp_path, SUPPORT, plan=DEEP)
+    arguments = ["acquire", str(tmp_path / "plan.yaml"), "--bench", str(tmp_path / "bench.yaml"), "--dry-run"]
+    assert main(arguments) == DONE  # a real bench draws nothing
+    assert main([*arguments, "--simulate"]) == USAGE
+    said = capsys.readouterr().err
+    assert "target_glass_z-20" in said
+    assert "'support'" in said
+    assert "cable" not in said
+
+
+def test_a_lab_with_supports_can_be_shown(tmp_path):
+    text = SUPPORT.replace("-20.0]", "20.0]") + (
+        "  - {name: lead, kind: sphere, centre_mm: [0.0, -40.0, 10.0], radius_mm: 8.0, material: opaque}\n"
+    )
+    with_support(tmp_path, text, plan=DEEP)
+    arguments = ["acquire", str(tmp_path / "plan.yaml"), "--bench", str(tmp_path / "bench.yaml"), "--dry-run"]
+    assert main([*arguments, "--simulate"]) == DONE
+
+
+def test_a_bench_that_cannot_be_misaligned_is_refused(tmp_path, mocker):
+    bench, plan = load(tmp_path, DEEP)
+    mocker.patch("sim.arranged.true_scene", side_effect=SceneError("the bodies stand too close; move them apart"))
+    with pytest.raises(PlanError, match="cannot be set up: the bodies stand too close"):
+        check_views(bench, plan.steps)
+
+
+# Frame sets: what is on disk is what is said to be there.
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    return make_frames("two_spheres_500", 504, 3, tmp_path_factory.mktemp("demo"), sensor=SILENT, samples=3)
+
+
+def test_folder_holds_the_whole_set(frames):
+    targets = ["clear_z+10mm", "clear_z+20mm", "clear_z-10mm", "clear_z-20mm", "clear"]
+    targets += ["glass_z-10mm", "glass_z-20mm", "glass"]
+    wanted = {f"target_{t}" for t in targets} | {f"particles_{v}_{ab}" for v in ("clear", "glass") for ab in "ab"}
+    assert set(frames.kinds) == wanted
+    names = {path.name for path in frames.folder.iterdir()}
+    assert names == {f"{kind}.tif" for kind in wanted} | {"scene.yaml", "truth.yaml", "frames.json"}
+    image = frames.frame("target_glass")
+    assert (image.shape, image.dtype) == ((504, 504), np.uint16)
+    with tifffile.TiffFile(frames.path("target_glass")) as file:
+        assert file.pages[0].compression == tifffile.COMPRESSION.ADOBE_DEFLATE
+
+
+def test_truth_is_hidden_and_read_back(frames):
+    again = load_frames(frames.folder)
+    assert again == frames
+    assert frames.nominal.content_hash() == at_size(demo_scene("two_spheres_500"), 504).content_hash()
+    assert frames.truth.content_hash() == misalign(frames.nominal, 3).content_hash()
+    assert frames.truth.content_hash() != frames.nominal.content_hash()
+
+
+@pytest.mark.parametrize("kind", ["clear", "clear_z+10mm", "clear_z-20mm"])
+def test_board_corners_lie_where_the_true_camera_projects_them(frames, kind):
+    z = float(kind.removeprefix("clear_z").removesuffix("mm")) if "z" in kind else 0.0
+    i, j = np.mgrid[-20:21:3, -20:21:3]
+    corners = np.stack((2.5 * i, 2.5 * j, np.full(i.shape, z)), axis=-1).reshape(-1, 3)
+    expected = frames.truth.camera.project(corners).astype(np.float32)
+    image = frames.frame(f"target_{kind}").astype(np.float32)
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+    found = cv2.cornerSubPix(image, expected.reshape(-1, 1, 2).copy(), (2, 2), (-1, -1), stop).reshape(-1, 2)
+    assert np.abs((found - expected).mean(axis=0)).max() < 0.01
+    assert (found - expected).std() < 0.09  # cornerSubPix itself: 0.07 px at 8 px a square, whatever the sampling
+
+
+def test_particles_move_fourteen_pixels_to_the_north_east(frames):
+    a, b = (frames.frame(f"particles_clear_{ab}").astype(np.float32)[40:-40, 40:-40] for ab in "ab")
+    (right, down), _ = cv2.phaseCorrelate(a, b)
+    assert np.hypot(right, down) == pytest.approx(14.0, abs=0.1)
+    assert right == pytest.approx(-down, abs=0.1)
+    scale = frames.truth.camera.focal_px / frames.truth.camera.position_mm[2]
+    assert np.hypot(*frames.shift_mm) * scale == pytest.approx(14.0, abs=0.05)
+
+
+def test_a_set_repeats_and_replaces(tmp_path):
+    one = make_frames("pair_off_axis", 64, 1, tmp_path / "one", stack=False, samples=2)
+    make_frames("pair_off_axis", 64, 2, tmp_path / "two", stack=False, samples=2)
+    two = make_frames("pair_off_axis", 64, 1, tmp_path / "two", stack=False, samples=2)
+    for kind in one.kinds:
+        assert np.array_equal(one.frame(kind), two.frame(kind))
+    a, clear = one.frame("target_glass"), one.frame("target_clear")
+    assert not np.array_equal(a[:10], clear[:10])  # each frame has noise of its own
+
+
+@pytest.mark.parametrize("name", sorted(SCENES))
+def test_misalignment_is_small_legal_and_everywhere(name):
+    nominal = demo_scene(name)
+    for seed in range(8):
+        truth = misalign(nominal, seed)
+        for before, after in zip(nominal.spheres, truth.spheres, strict=True):
+            step = np.abs(np.subtract(after.centre_mm, before.centre_mm))
+            assert 0.0 < step.max() < 0.8
+            assert after.radius_mm == before.radius_mm
+        assert 0.0 < np.abs(np.subtract(truth.camera.position_mm, nominal.camera.position_mm)).max() < 0.61
+        turn = nominal.camera.rotation_matrix @ truth.camera.rotation_matrix.T
+        assert 1e-5 < np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)) < 0.006
+        assert truth.camera.focal_px == nominal.camera.focal_px
+    barrel = misalign(nominal, 1, barrel=0.018).camera
+    edge = barrel.ideal([(barrel.principal_px[0] + 1007.5, barrel.principal_px[1])])[0, 0] - barrel.principal_px[0]
+    assert edge == pytest.approx(1007.5 * 1.018)
+
+
+def test_size_keeps_the_field_of_view():
+    full, half = demo_scene("tilted").camera, at_size(demo_scene("tilted"), 1008).camera
+    # The outer edges of the sensor, half a pixel outside the outermost centres.
+    for whole, part in ((-0.5, -0.5), (2015.5, 1007.5)):
+        assert half.directions((part, part)) == pytest.approx(full.directions((whole, whole)), abs=1e-14)
+
+
+def test_unknown_name_lists_the_known_ones():
+    with pytest.raises(SceneError, match="two_spheres_500"):
+        demo_scene("nowhere")
