@@ -144,7 +144,6 @@ mutants: $(STAMP)
 bench: benchmark
 
 benchmark: $(STAMP)
-	$(BIN)/python -m benchmarks -o benchmarks/results
 	$(BIN)/python -m benchmarks.commands -o benchmarks/results
 	$(BIN)/python -m benchmarks.wanted
 

@@ -30,58 +30,6 @@ from tracer.scene.scene import Scene
 Tasks = dict[str, Callable[[], Any]]
 
 
-def ours(scene: Scene) -> Tasks:
-    """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
-    from correction.maps.correction_map import build_correction_map
-    from correction.maps.corrector import Corrector
-    from tracer.strategies.ray_map import build_ray_map
-
-    ray_map = build_ray_map(scene)
-    cmap = build_correction_map(scene, ray_map)
-    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
-    quintic, bilinear = Corrector(cmap), Corrector(cmap, method="bilinear")
-    out = np.empty(cmap.grid.shape, np.float32)
-    spare, short = build_correction_map(scene, ray_map), build_ray_map(scene, single=True)
-    return {
-        **_without_mirrors(scene, (ray_map.plane_mm, ray_map.status, ray_map.branch)),
-        "ray_map": lambda: build_ray_map(scene, ray_map).plane_mm,
-        "ray_map, stored as float32": lambda: build_ray_map(scene, short, single=True),
-        "ray_map_fresh": lambda: build_ray_map(scene).plane_mm,
-        "correction_map": lambda: build_correction_map(scene, ray_map, out=spare),
-        "quintic": lambda: quintic(frame, out),
-        "bilinear": lambda: bilinear(frame, out),
-    }
-
-
-def march(scene: Scene) -> Tasks:
-    """Our tracer ray by ray, every body asked at every step."""
-    from ground.rows import run_rows
-    from tracer.kernels.rays import trace_rows
-    from tracer.kernels.world import World
-    from tracer.strategies.trace import NO_CELLS, pack_camera
-
-    height, width = scene.camera.shape
-    plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
-    key = np.empty((height, width), np.int64)
-    camera, world = pack_camera(scene.camera), World(scene.sphere_table(), *NO_CELLS, scene.other_tables())
-
-    def task() -> NDArray[np.float64]:
-        def work(first: int, last: int) -> None:
-            trace_rows(camera, world, first, last, plane, status, key)
-
-        run_rows(work, height)
-        return plane
-
-    return {"ray_map": task}
-
-
-def numpy(scene: Scene) -> Tasks:
-    """Textbook formulas in vectorised NumPy."""
-    from benchmarks.formulas import numpy_ray_map
-
-    return {"ray_map": lambda: numpy_ray_map(scene)}
-
-
 def drjit(scene: Scene) -> Tasks:
     """Dr.Jit arrays on LLVM, our formulas, float64."""
     import drjit as dr
@@ -99,28 +47,6 @@ def drjit(scene: Scene) -> Tasks:
         return x, y
 
     return {"ray_map": task}
-
-
-def torch(scene: Scene) -> Tasks:
-    """PyTorch, torch.compile, our formulas, float64."""
-    import torch as th
-
-    th.set_num_threads(thread_count())
-    height, width = scene.camera.shape
-    u, v = th.arange(width, dtype=th.float64)[None, :], th.arange(height, dtype=th.float64)[:, None]
-    compiled = th.compile(lambda a, b: plane_point(scene, a, b, th.sqrt, th.where))
-    return {"ray_map": lambda: compiled(u, v)}
-
-
-def jax(scene: Scene) -> Tasks:
-    """JAX, jit, our formulas, float64."""
-    import jax as jx
-
-    jx.config.update("jax_enable_x64", True)
-    height, width = scene.camera.shape
-    u, v = jx.numpy.arange(width, dtype=float)[None, :], jx.numpy.arange(height, dtype=float)[:, None]
-    compiled = jx.jit(lambda a, b: plane_point(scene, a, b, jx.numpy.sqrt, jx.numpy.where))
-    return {"ray_map": lambda: jx.block_until_ready(compiled(u, v))}
 
 
 def mitsuba(scene: Scene) -> Tasks:
@@ -228,30 +154,16 @@ def _without_mirrors(scene: Scene, arrays: tuple[Any, Any, Any]) -> Tasks:
     return {"ray map, no mirrors": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED)}
 
 
-def raysect(scene: Scene) -> Tasks:
-    """Raysect, a sample of the rays, float64."""
-    from benchmarks.renderers import SAMPLE, raysect_sample
-
-    return {f"{SAMPLE} rays": raysect_sample(scene)}
-
-
 CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
-    "rtpiv": (ours, "numba"),
     "rtpiv, ray maps": (maps, "numba"),
     "rtpiv, correction maps": (inverse, "numba"),
     "rtpiv, frames": (frames, "numba"),
     "filling": (filling, "numba"),
     "plain C": (plain, "numpy"),
-    "rtpiv, ray by ray": (march, "numba"),
-    "numpy": (numpy, "numpy"),
     "drjit": (drjit, "drjit"),
-    "torch": (torch, "torch"),
-    "jax": (jax, "jax"),
     "mitsuba": (mitsuba, "mitsuba"),
-    "raysect": (raysect, "raysect"),
 }
-STACKED = ("drjit", "torch", "jax", "numpy")  # their formulas know one order of spheres and no lens terms
-SOLID_BALLS = ("mitsuba", "raysect")  # and nothing in them, as STACKED
+STACKED = ("drjit",)  # their formulas know one order of spheres and no lens terms
 IDEAL_LENS = ("mitsuba",)
 
 

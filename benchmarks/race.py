@@ -3,6 +3,7 @@
     python -m benchmarks.race --ours "rtpiv, correction maps" --peers    # in ray maps and in writings
     python -m benchmarks.race --ours "rtpiv, frames" --peers             # beside OpenCV and SciPy
     python -m benchmarks.race --before CHECKOUT                          # raced beside another one
+    python -m benchmarks.race --rays 300                                 # and errors beside 50 digits
 
 Scenes are as a fit leaves them unless named otherwise: the camera 3 mm aside and tilted.  Every contender has a
 process of its own and takes its turn in every round.  Said are medians and quartiles: of the processor time of
@@ -11,18 +12,27 @@ all threads, and of our own first task divided by each task of the same round.
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.__main__ import in_one_row
 from benchmarks.contenders import IDEAL_LENS, STACKED, Racer, race, start, stop
 from benchmarks.options import options
 from benchmarks.scenes import MOVED, bench_scene
+from tracer.scene.scene import Scene
 
 SCENES = ("empty", "one_sphere_250", "one_sphere_500", "two_spheres_500", "three_spheres_500", "pyramid_500")
 PEERS = ["filling", "plain C", "drjit", "mitsuba"]
 MOST_OF_PLAIN = 16  # spheres that plain.c has room for; more of them no longer come by their heights
-Table = dict[str, dict[str, list[float]]]
+Table = dict[str, dict[str, Any]]
+
+
+def in_one_row(scene: Scene) -> bool:
+    """True if a formula for solid spheres on the camera's axis holds."""
+    table = scene.sphere_table()
+    row = bool((np.ptp(table[:, :2], axis=0) == 0.0).all()) if len(table) else False
+    solid = not any(sphere.cores for sphere in scene.spheres) and len(table) == len(scene.bodies)
+    return row and solid and not table[:, 5].any() and scene.camera.lens.is_ideal
 
 
 def quartiles(values: list[float], digits: int) -> list[float]:
@@ -37,8 +47,10 @@ def apart(ours: Racer, peer: Racer) -> float:
     return float(1.0 - (near | np.isnan(first + second).any(axis=2) & np.isnan(first).any(axis=2)).mean())
 
 
-def measure(name: str, own: str, peers: list[str], rounds: int, before: Path | None) -> Table:
-    """One scene: core ms of all tasks; ratios of our first one to each; how many pixels differ."""
+def measure(
+    name: str, own: str, peers: list[str], rounds: int, before: Path | None = None, rays: int = 0
+) -> Table:
+    """One scene: core ms of all tasks; ratios of our first one to each; how many pixels differ; errors of rays."""
     scene = bench_scene(name)
     left_out = () if in_one_row(scene) else STACKED
     left_out += () if scene.camera.lens.is_ideal else (*IDEAL_LENS, "plain C")
@@ -60,6 +72,13 @@ def measure(name: str, own: str, peers: list[str], rounds: int, before: Path | N
     for racer in racers[1:]:
         if racer.name != "filling" and "ray_map" in racer.cpu:
             core[f"{racer.name}: ray_map"]["share_of_other_pixels"] = [apart(racers[0], racer)]
+    if rays and scene.spheres:
+        from benchmarks.reference import errors_um, reference_pixels  # needs mpmath
+
+        known = reference_pixels(scene, rays)
+        for racer in racers:
+            if racer.name != "filling" and "ray_map" in racer.cpu:
+                core[f"{racer.name}: ray_map"]["error_um"] = errors_um(racer.ray_map(), known)
     stop(racers)
     return core
 
@@ -67,9 +86,9 @@ def measure(name: str, own: str, peers: list[str], rounds: int, before: Path | N
 def main() -> None:
     """Measure and print a line of JSON for each task of each scene."""
     scenes = [name + MOVED for name in SCENES]
-    asked = options(__doc__, scenes=scenes, ours="rtpiv, ray maps", peers=PEERS, rounds=15, before=Path)
+    asked = options(__doc__, scenes=scenes, ours="rtpiv, ray maps", peers=PEERS, rounds=15, before=Path, rays=0)
     for name in asked.scenes:
-        for task, said in measure(name, asked.ours, asked.peers, asked.rounds, asked.before).items():
+        for task, said in measure(name, asked.ours, asked.peers, asked.rounds, asked.before, asked.rays).items():
             print(json.dumps({"scene": name, "task": task, **said}), flush=True)
 
 

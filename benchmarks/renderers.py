@@ -1,19 +1,14 @@
-"""Ray maps made by renderers: the peers that trace glass in general, driven as their users would drive them.
+"""Ray maps made by a renderer: a peer that traces glass in general, driven as its users would drive it.
 
-Both follow one refracted ray a pixel, from surface to surface, until nothing is in its way: Mitsuba, whose
-LLVM variant asks Embree who is met, in a masked loop that ends for each packet of rays with its last one.
+Mitsuba follows one refracted ray a pixel, from surface to surface, until nothing is in its way; its LLVM variant
+asks Embree who is met, in a masked loop that ends for each packet of rays with its last one.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ground.rows import thread_count
 from tracer.scene.scene import Scene
-
-SAMPLE = 20_000  # pixels a round of a renderer that traces one ray at a time in Python
 
 
 def mitsuba_ray_map(scene: Scene) -> Callable[[], tuple[Any, Any]]:
@@ -64,37 +59,5 @@ def mitsuba_ray_map(scene: Scene) -> Callable[[], tuple[Any, Any]]:
         dr.eval(px, py)
         dr.sync_thread()
         return px, py
-
-    return task
-
-
-def raysect_sample(scene: Scene) -> Callable[[], NDArray[np.float64]]:
-    """Task that traces SAMPLE pixels by Raysect's LoggingRay, one by one (float64)."""
-    from raysect.core import Point3D, Vector3D
-    from raysect.optical import ConstantSF, World, translate
-    from raysect.optical.loggingray import LoggingRay
-    from raysect.optical.material import AbsorbingSurface, Dielectric
-    from raysect.primitive import Box, Sphere
-
-    world = World()
-    for x, y, z, radius, n, _ in scene.sphere_table().tolist():
-        glass = Dielectric(index=ConstantSF(n), transmission=ConstantSF(1.0), transmission_only=True)
-        Sphere(radius, world, translate(x, y, z), glass)
-    Box(Point3D(-1e4, -1e4, -1.0), Point3D(1e4, 1e4, 0.0), world, material=AbsorbingSurface())
-    height, width = scene.camera.shape
-    chosen = np.random.default_rng(1).integers(0, height * width, SAMPLE)
-    pixels = np.stack((chosen % width, chosen // width), axis=-1).astype(np.float64)
-    directions = scene.camera.directions(pixels).tolist()
-    start = Point3D(*scene.camera.position_mm)
-
-    def task() -> NDArray[np.float64]:
-        out = np.empty((SAMPLE, 2))
-        for k, way in enumerate(directions):
-            ray = LoggingRay(start, Vector3D(*way), min_wavelength=500.0, max_wavelength=501.0, bins=1)
-            ray.trace(world)
-            last = ray.log[-1]
-            hit = last.hit_point.transform(last.primitive_to_world)
-            out[k] = hit.x, hit.y
-        return out
 
     return task

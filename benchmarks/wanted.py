@@ -66,7 +66,7 @@ def kernel_rows(rounds: int) -> Iterator[Row]:
     """Maps and frames beside peers and what memory allows, scenes as a fit leaves them."""
 
     def ratios(scene: str, own: str, peers: list[str]) -> dict[str, float]:
-        table = measure(scene, own, peers, rounds, None)
+        table = measure(scene, own, peers, rounds)
         return {task: each["ours_through_it"][1] for task, each in table.items() if "ours_through_it" in each}
 
     for name in ROWS:
@@ -80,7 +80,7 @@ def kernel_rows(rounds: int) -> Iterator[Row]:
     yield Row("fresh memory through reused", 1.0 / two["rtpiv, ray maps: ray_map, fresh"], 1.1)
     frames = ratios("two_spheres_500" + MOVED, "rtpiv, frames", [])
     yield Row("quintic frame through OpenCV's cubic", frames["rtpiv, frames: OpenCV cubic"], 1.0)
-    inverse = measure("one_sphere_250" + MOVED, "rtpiv, correction maps", [], rounds, None)
+    inverse = measure("one_sphere_250" + MOVED, "rtpiv, correction maps", [], rounds)
     task_ms = {task.partition(": ")[2]: each["core_ms"][1] for task, each in inverse.items()}
     yield Row("correction map in writings", task_ms["correction map"] / task_ms["writing"], 4.0)
 
@@ -92,7 +92,7 @@ def bed_rows(rounds: int) -> Iterator[Row]:
         rays = build_ray_map(bench_scene(name))
         seen = np.bincount(rays.branch.ravel(), minlength=len(rays.branches))
         met = sum(int(pixels) * len(way) for pixels, way in zip(seen, rays.branches, strict=True))
-        core_ms = measure(name, "rtpiv, ray maps", [], rounds, None)["rtpiv, ray maps: ray_map"]["core_ms"][1]
+        core_ms = measure(name, "rtpiv, ray maps", [], rounds)["rtpiv, ray maps: ray_map"]["core_ms"][1]
         yield Row(f"bed of {count}, ns a ball met", 1e6 * core_ms / met, 15.0)
     if (racer := start("rtpiv, correction maps", "bed 1000" + MOVED)) is not None:
         race([racer], 2)

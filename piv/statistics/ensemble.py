@@ -38,7 +38,7 @@ c of dM_c/ds_c. A rest r that d has a part of stands in M as well, and of it tha
 V what the fit makes of a change of the plane. Taken so, the noise of both terms cancels to first order. V is a sum
 over templates, so the derivative goes to them, and sums over their third moments are kept as well. By the first
 moments of the planes cov(d, r) had all of the noise and var(r), seen under a Gaussian, not: 1.5 to 2 times sigma^2
-of vectors stayed in normal stresses, 6 to 10 % of those of `benchmarks.wall_statistics`.
+of vectors stayed in normal stresses, 6 to 10 % of those over a wall that shines (ADR 17).
 
 **Sigma.** How much Q, the sums of a pair's plane over seven templates (moments of a Gaussian), varies from pair
 to pair is summed window by window as a covariance. A change dQ moves the fitted parameters p by (dQ/dp)^(-1)

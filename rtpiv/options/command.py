@@ -49,7 +49,7 @@ RENAMED = {  # until the next release
     "devices": "doctor",
     "probe": "doctor --probe",
 } | {part: f"{verb} {part}" for verb, parts in PARTS.items() for part in parts}
-REMOVED = {"benchmark": "use python -m benchmarks --scenes SCENE in a checkout of the sources"}
+REMOVED = {"benchmark": "use python -m benchmarks.race --scenes SCENE in a checkout of the sources"}
 WORDS = {  # options with other names than their parameters
     "out": ("-o", "--out"),
     "ask": ("--yes",),
