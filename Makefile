@@ -145,6 +145,7 @@ bench: benchmark
 
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks.commands -o benchmarks/results
+	$(BIN)/python -m benchmarks.race --rays 300
 	$(BIN)/python -m benchmarks.wanted
 
 # What most tests need is compiled first, in two processes that share next to nothing: tests would compile it twice.
