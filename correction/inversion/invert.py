@@ -172,10 +172,11 @@ class Inversion:
         height, width = self.grid.shape
         place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
         lens_free, world = self.way.scene.camera.lens.is_ideal, self.tables[1]
-        glass_only = not (world.others or world.shapes or world.spheres[:, OPAQUE].any())
+        only_spheres = not self.way.scene.others
+        glass_only = only_spheres and not (world.shapes or world.spheres[:, OPAQUE].any())
         maps = self._flat_maps()
-        lockstep = not len(world.others) and self.way.kind is Kind.LOCKSTEP
-        view = DirectView(place, self.tables, discs, lockstep, glass_only, lens_free, self._frame())
+        lockstep = only_spheres and self.way.kind is Kind.LOCKSTEP
+        view = DirectView(place, self.tables, discs, lockstep, only_spheres, glass_only, lens_free, self._frame())
 
         def work(first: int, last: int) -> None:
             x, y = np.arange(width, dtype=np.float64), np.empty(width)

@@ -14,7 +14,7 @@ from tracer.kernels.rays import trace_to_plane
 from tracer.kernels.world import World
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.strategies.trace import NO_CELLS
+from tracer.strategies.trace import NO_CELLS, NO_RODS
 
 NO_TRAIL = NO_CELLS[2]  # keeps no event
 TILTED = "tilted"
@@ -147,7 +147,7 @@ def one_ray(
 ) -> tuple[float, ...]:
     """`trace_to_plane` from a point along a direction past the spheres of a table; its events in `trail` (64,)."""
     kept = NO_TRAIL if trail is None else trail
-    return flat(trace_to_plane(numbers[:3], numbers[3:], World(table, *NO_CELLS), kept))
+    return flat(trace_to_plane(numbers[:3], numbers[3:], World(table, *NO_CELLS, NO_RODS), kept))
 
 
 def flat(result: Any) -> tuple[float, ...]:

@@ -35,9 +35,9 @@ for each of its own numbers.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ground.jit import Array, kernel, kernel_composed
+from ground.jit import OVERLOADED, Array, kernel, kernel_composed, overload
 from tracer.kernels.ball import back_through_shaped, is_shaped
 from tracer.kernels.branches import NOTHING, body_of
 from tracer.kernels.camera import (
@@ -78,7 +78,7 @@ from tracer.kernels.vectors import (
     vector_at,
     with_component,
 )
-from tracer.kernels.world import MISSED_PLANE, RECOVERED, Tables, World, place_of_other, rates_other
+from tracer.kernels.world import KINDS, MISSED_PLANE, RECOVERED, Tables, World, place_of_other, rates_other
 
 STATE = 8  # w, d, m, b2 of each body crossed
 AXES, NORMAL = 3, 9  # of a target: where they begin after its origin
@@ -259,6 +259,17 @@ def target_rates(f: Vector, q: Vector, row: Array) -> None:
         row[k], row[3 + k] = -f[k], -turn[k]
 
 
+def bend_rays(others: tuple[Any, ...]) -> bool:
+    """Return whether rays go on behind bodies of some tables: behind opaque ones nothing has derivatives."""
+    return any(KINDS[type(table)].rates is not None for table in others)
+
+
+@overload(bend_rays, jit_options=OVERLOADED)
+def _bend_rays(others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    found = any(KINDS[table.instance_class].rates is not None for table in others.types)
+    return lambda others: found
+
+
 @kernel
 def sweep_back(
     pair: tuple[Vector, Vector],
@@ -278,7 +289,7 @@ def sweep_back(
     of_others = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
     for event in range(events - 1, -1, -1):
         (body, way), state = body_of(scratch.trail[event], spheres), scratch.state[event]
-        if len(world.others) > 0 and body < NOTHING:
+        if bend_rays(world.others) and body < NOTHING:
             at, width = place_of_other(body, world.others, of_others)
             if at + width <= end:
                 back_to_row(f, g, body, way, world, state, scratch.move, row[at : at + width])

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ground.rows import run_rows
 from ground.short_repr import short_repr
+from tracer.bodies.rod import Rods
 from tracer.camera import Camera
 from tracer.harmonics import largest_mm, row_of
 from tracer.kernels.ball import SHAPE_NUMBERS
@@ -30,6 +31,8 @@ CELLS_PER_SPHERE = 4.0  # twice as many cells or half as many cost more
 FEW = 8  # up to here it is quicker to ask every sphere
 Cells = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]
 NO_CELLS: Cells = np.zeros(7), np.zeros(1, np.int32), np.empty(0, np.int32)
+# Of spheres alone: kernels are compiled once for balls that stand on rods and for those that do not
+NO_RODS = (Rods(np.empty((0, 7))),)
 RAY = np.dtype(
     [
         ("status", np.uint8),  # RayStatus
@@ -70,6 +73,7 @@ def world_from(
     shapes: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> World:
     """The same for bare tables, and rays end behind all bodies; shapes (45,) [mm] by number, as `Scene.shapes`."""
+    others = others or NO_RODS
     if not shapes:
         return World(spheres, *cells_of(spheres), others, rooms)
     around, rows = np.array(spheres), np.zeros((len(spheres), SHAPE_NUMBERS))

@@ -122,8 +122,9 @@ class DirectView(NamedTuple):
         Camera and bodies.
     discs : (N, BALL) float64
         Centres and R^2 in the order of the sphere table.
-    lockstep, glass_only, flat : bool
-        Spheres alone; all bodies round and of glass; a camera without lens terms.
+    lockstep, only_spheres, glass_only, flat : bool
+        Solid spheres of glass alone; no other kind of body; all bodies round and of glass; a camera without lens
+        terms.
     frame : (3,) and (2,) float64
         Grid, and width and height of the sensor.
     """
@@ -132,6 +133,7 @@ class DirectView(NamedTuple):
     tables: Tables
     discs: Array
     lockstep: bool
+    only_spheres: bool
     glass_only: bool
     flat: bool
     frame: tuple[Array, Array]
@@ -157,7 +159,7 @@ def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
     rims: what is deeper in one is behind glass, whatever else stands there, unless the sphere reaches through the
     plane and so may stand behind the node.
     """
-    place, tables, discs, lockstep, glass_only, _, _ = view
+    place, tables, discs, lockstep, only_spheres, glass_only, _, _ = view
     x, y, spans, rays, trips, hidden, _ = scratch
     camera, world = tables
     width, bodies = x.shape[0], discs.shape[0]
@@ -178,7 +180,7 @@ def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
             if glass_only and below > 0.0 and below * below > discs[k, 3] and not crossed:
                 for i in range(low + WITHIN, high - WITHIN):
                     hidden[i] = BEHIND_GLASS
-    if len(world.others) > 0:
+    if not only_spheres:
         joined[0, 0], joined[0, 1] = 0, width
         count = 1
     for j in range(count):
