@@ -164,13 +164,6 @@ def test_an_ellipsoid_is_its_quadric() -> None:
     assert worst < 2e-9
 
 
-@pytest.mark.slow
-def test_ten_million_rays_at_ellipsoids() -> None:
-    count, worst = rays_at_ellipsoids(balls=100, rays=100_000)
-    assert count > 9_000_000
-    assert worst < 2e-9
-
-
 def test_the_example_is_a_scene_with_free_shapes() -> None:
     path = Path(__file__).resolve().parents[2] / "examples" / "uneven_balls.yaml"
     upper, lower = load_scene(path).spheres
@@ -362,14 +355,3 @@ def test_a_tilted_light_sheet_turns_the_shape() -> None:
     np.testing.assert_allclose(moved.distance_mm(there), one.distance_mm(points), atol=1e-10)
     shifted = one.moved(lambda at: (at[0] + 0.1, at[1], at[2] - 0.3))
     assert shifted.shape_um == one.shape_um
-
-
-@pytest.mark.slow
-def test_no_pixel_has_no_landing() -> None:
-    """A view in which nothing is seen through glass asks for none."""
-    uneven = replace(ball("b", 0.0, 0.0, 20.0, 15.0, 1.5), shape_um=(5.0,) + (COUNT - 1) * (0.0,))
-    where = Scene(camera_at((0.0, 0.0, 300.0)), (uneven,))
-    none = landings(where, np.empty((0, 2)))
-    some = landings(where, np.zeros((1, 2)))
-    assert none.names == some.names
-    assert none.rate.shape == (0, 2, len(some.names))

@@ -159,29 +159,6 @@ def test_fresnel_at_normal_incidence_and_at_the_brewster_angle() -> None:
     assert transmittance(cos_i, cos_t, n) == pytest.approx(1.0 - r_s**2 / 2.0, rel=1e-15)
 
 
-def test_fermat() -> None:
-    """The optical path is stationary, so its gradient over the plane is the last direction (Malus-Dupin)."""
-    where = scene(TILTED)
-    pixels = aimed_pixels(where, np.random.default_rng(8), 400)
-    step = 1e-3
-    base = trace(where, pixels)
-    camera, world = pack_camera(where.camera), world_of(where)
-    chosen = base.recovered & (base.rays["transmittance"] > 0.8) & (base.rays["direction"][:, 2] < -0.5)
-    assert chosen.sum() > 100
-    ahead = [trace(where, pixels + np.array(move)).rays for move in ((step, 0.0), (0.0, step))]
-    behind = [trace(where, pixels - np.array(move)).rays for move in ((step, 0.0), (0.0, step))]
-    for index in np.flatnonzero(chosen):
-        if any(rays["key"][index] != base.rays["key"][index] for rays in (*ahead, *behind)):
-            continue
-        _, _, _, xu, xv, yu, yv, _, _, _ = trace_pixel_tangents(*pixels[index].tolist(), camera, world)
-        slope = [
-            (a["path_mm"][index] - b["path_mm"][index]) / (2.0 * step) for a, b in zip(ahead, behind, strict=True)
-        ]
-        d = base.rays["direction"][index]
-        wanted = where.n_ambient * np.array([d[0] * xu + d[1] * yu, d[0] * xv + d[1] * yv])
-        np.testing.assert_allclose(slope, wanted, rtol=0.0, atol=2e-6 * max(1.0, float(np.abs(wanted).max())))
-
-
 def test_reference_itself_at_hand_made_angles() -> None:
     """The judge is judged: one ball, closed form r_o of a ray parallel to the axis."""
     n, radius, height = 1.53, 25.0, 10.0

@@ -18,8 +18,6 @@ from benchmarks.scenes import aimed_pixels
 from rtpiv.analysis.views.field_of_view import field_of_view
 from tests.slow_cases import one_in_three
 from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, scene
-from tests.tracer.second_formulation import inside
-from tests.tracer.second_formulation import met as meet
 from tracer.bodies import Core, Sphere
 from tracer.errors import SceneError
 from tracer.kernels.sphere import (
@@ -128,26 +126,6 @@ def test_digits_lost(ratio: float, n: float) -> None:
     assert ways == {WAYS[k] for k, there in enumerate((N * ratio < 1.0, True, n < N and n * ratio < 1.0)) if there}
 
 
-def textbook(*numbers: float, table: Any, trail: Any) -> Any:
-    """What `trace_ray` returns for one sphere, by roots and normals in float64: the formulas not used here."""
-    p, d = np.array(numbers[:3]), np.array(numbers[3:])
-    _, _, root = meet(table[0], table[0, 3], p, d)
-    p += root * d
-    trail[0], _, _ = inside(table[0], p, d)
-    foot = p - ((p - table[0, :3]) @ d) * d
-    return [3 if d[2] >= 0.0 else 0, *foot, *d, 0.0, 0.0, 0, 1]
-
-
-def test_these_tests_can_fail() -> None:
-    """Roots lose digits with the square of the distance, and are found out."""
-    with mpmath.workdps(60):
-        lost, inherent, ways = digits(0.5, 1.0, 0.3, 0.1, away=1e3, tracer=textbook)
-        mine, _, _ = digits(0.5, 1.0, 0.3, 0.1, away=1e3)
-    assert ways == {"one core"}
-    assert lost > inherent + 1.0
-    assert mine <= inherent + 1.0
-
-
 def apart(one: tuple[mpf, ...], other: tuple[mpf, ...]) -> float:
     return float(max(abs(a - b) for a, b in zip(one, other, strict=True)))
 
@@ -214,28 +192,6 @@ def test_a_bubble_of_no_thickness_is_a_bubble() -> None:
     np.testing.assert_allclose(rays[0]["x_mm"], rays[1]["x_mm"], rtol=0.0, atol=1e-11)
 
 
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_bouguer(seed: int) -> None:
-    """(p - c) x d is the same before and after whatever the cores are: n b is the invariant."""
-    rng = np.random.default_rng(seed)
-    radius, n = 10.0 ** rng.uniform(-1.0, 2.0), 10.0 ** rng.uniform(-12.0, 0.5) + 1.0
-    cores = [(radius * share, float(rng.choice([1.0, 1.3, n, 2.5]))) for share in (0.999, 0.6, 0.3)]
-    table = Scene(camera_at((0.0, 0.0, 900.0)), (ball("one", 0.0, 0.0, 250.0, radius, n, *cores),)).sphere_table()
-    for _ in range(20):
-        way = rng.normal(size=3)
-        way /= np.linalg.norm(way)
-        side = np.cross(way, rng.normal(size=3))
-        aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0)) / np.linalg.norm(side)
-        start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
-        result = one_ray(*start.tolist(), *way.tolist(), table=table)
-        if result[0] != RayStatus.MISSED_PLANE or result[-1] != 1:  # upwards: `trace_ray` returns the foot point
-            continue
-        before = np.cross(start - table[0, :3], way)
-        after = np.cross(np.array(result[1:4]) - table[0, :3], np.array(result[4:7]))
-        assert np.max(np.abs(after - before)) <= 4.0 * (np.spacing(250.0) + 8.0 * np.spacing(radius))
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_reversed_rays(seed: int) -> None:
@@ -256,30 +212,6 @@ def test_reversed_rays(seed: int) -> None:
         assert there[8] == pytest.approx(float(ray["transmittance"]), abs=1e-6)
         miss = np.cross(eye - np.array(there[1:4]), np.array(there[4:7]))
         assert np.linalg.norm(miss) <= 1e-5 * np.linalg.norm(eye)
-
-
-@pytest.mark.parametrize(("matrix", "scale"), [(np.eye(3), 2.0**10), (np.diag((-1.0, -1.0, 1.0)), 1.0)])
-def test_scaled_and_mirrored_scenes_have_the_same_bits(matrix: np.ndarray, scale: float) -> None:
-    where = scene(HOLLOW)
-    bodies = [replace(body, radius_mm=body.radius_mm - 1e-6, cores=body.cores[1:]) for body in where.spheres]
-    bodies += [replace(where.spheres[0], name="apart", centre_mm=(-60.0, 0.0, 40.0))]
-    where = where.with_bodies(bodies)
-    moved = []
-    for body in where.spheres:
-        x, y, z = (scale * (matrix @ np.array(body.centre_mm))).tolist()
-        cores = tuple(replace(core, radius_mm=scale * core.radius_mm) for core in body.cores)
-        moved.append(replace(body, centre_mm=(x, y, z), radius_mm=scale * body.radius_mm, cores=cores))
-    ways = where.camera.directions(aimed_pixels(where, np.random.default_rng(9), 4000))
-    eye = np.array(where.camera.position_mm)
-    here = trace_from(where, eye, ways)
-    there = trace_from(
-        replace(where, camera=camera_at((0.0, 0.0, 1e7)), bodies=tuple(moved)),
-        scale * (matrix @ eye),
-        ways @ matrix,
-    )
-    np.testing.assert_array_equal(there.plane_mm, scale * here.plane_mm @ matrix[:2, :2])
-    np.testing.assert_array_equal(there.rays["key"], here.rays["key"])
-    assert len(here.branches) > 10
 
 
 def test_the_names_of_the_ways() -> None:

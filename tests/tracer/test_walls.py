@@ -249,33 +249,6 @@ def test_a_camera_in_the_middle_of_a_dome_sees_straight() -> None:
     assert (shut.rays["status"] == RayStatus.BLOCKED).all()
 
 
-def test_a_rod_of_glass_is_a_lens_in_one_direction() -> None:
-    """Where a ray across a cylinder lands is a matter of two angles: n sin t = sin i, turn 2 (i - t)."""
-    rod = tube(inner_radius_mm=0.0, start_mm=(-80.0, 0.0, 60.0), end_mm=(80.0, 0.0, 60.0))
-    for offset in (-49.0, 1.0, 20.0, 45.0):
-        ray = trace_from(among_all_kinds(rod), [[0.0, offset, 400.0]], [[0.0, 0.0, -1.0]]).rays[0]
-        outside = mpmath.asin(mpf(offset) / 50)
-        inside = mpmath.asin(mpf(offset) / 50 / mpf(1.5195))
-        at = outside + mpmath.pi - 2 * inside  # where it comes out, from the top
-        y, z = 50 * mpmath.sin(at), 60 + 50 * mpmath.cos(at)
-        expected = y - z * mpmath.tan(2 * (outside - inside))
-        assert float(expected) == pytest.approx(float(ray["y_mm"]), abs=1e-10)
-    ends = trace_from(among_all_kinds(rod), [[200.0, 0.0, 61.0]], [[-1.0, 0.0, 0.0]])
-    assert ends.rays["status"][0] == RayStatus.BLOCKED  # by the end, which nobody polished
-
-
-def test_a_plate_shifts_by_the_textbook() -> None:
-    """(1 - cos i / (n cos t)) d sin i across the ray, d / cos t of path: Hecht, Optics, 4.4."""
-    scene = among_all_kinds(window(behind=None))
-    way = unit((0.3, 0.0, -1.0))
-    angle = mpmath.acos(-way[2])
-    bent = mpmath.asin(mpmath.sin(angle) / mpf(1.5195))
-    across = 10 * mpmath.sin(angle - bent) / mpmath.cos(bent)
-    ray = trace_from(scene, [[0.0, 0.0, 400.0]], [[float(x) for x in way]]).rays[0]
-    expected = 400 * mpmath.tan(angle) - across / mpmath.cos(angle)
-    assert float(expected) == pytest.approx(float(ray["x_mm"]), abs=1e-11)
-
-
 def test_a_ball_knows_the_medium_in_which_it_stands() -> None:
     """In a liquid of its own index a ball is not there; its n counts against the liquid, not the air."""
     liquid = ConstantMedium(1.5195)

@@ -140,7 +140,7 @@ def asked(what: str, labs: int, first: int) -> list[Row]:
         return [Row(what, fault, first + n) for n, fault in enumerate(order)]
     kind, faults = {
         "corners": ("corners", ("index", "ball off", "lens term", "bent board")),
-        "rendered": ("stranger", rendered_labs.FAULTS),
+        "rendered": ("stranger", ("stray",)),
     }[what]
     return [Row(kind, "" if n % 2 == 0 else faults[n // 2 % len(faults)], first + n) for n in range(labs)]
 

@@ -3,8 +3,7 @@
 What is wrong with a lab stands in no scene file: the frames alone can show it, or nothing can.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +20,11 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import map_error_px
-from tests.correction.fit.drawn_labs import lifted
 from tests.correction.fit.strangers import stranger
 from tracer.bodies import Sphere
-from tracer.camera import Lens
 from tracer.errors import SceneError
-from tracer.light_table import LightTable
-from tracer.media import MEDIA, ConstantMedium, Medium, shifted
-from tracer.scene.fit_section import FitNamedTable, FitTable
+from tracer.media import ConstantMedium, Medium
+from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -48,10 +44,6 @@ BENCHES = {  # name: width of the sensor [px], square [mm]
     "pyramid_500": (1008, 2.5),
     "tilted": (1008, 2.5),
 }
-FAULTS = ("stray", "index", "ball off", "lens term", "lens off axis", "lamp")
-GLASSES = ("N-BK7", "N-K5", "fused-silica", "PMMA", "polystyrene")
-LASER_NM, LAMPS_NM = 532.0, (450.0, 650.0)
-MELT = 3e-4  # standard deviation of n of a glass about its catalogue
 # Rays a pixel each way.  With 3 a corner behind glass is off by 0.015 px for want of rays, of which no real pixel
 # is short, and the best corners err more than they say; with 6 and 8 they do not.
 RAYS = 6
@@ -67,7 +59,7 @@ class Photographed:
     truth: Scene
     board: Chessboard
     frames: tuple[TargetFrame, ...]
-    priors: FitTable
+    priors: FitTable = field(default_factory=FitTable)
 
 
 @dataclass(frozen=True)
@@ -84,7 +76,7 @@ class Compared:
 
 
 def photographed(kind: str, seed: int, fault: str = "") -> Photographed:
-    """Draw and photograph a lab: a name of BENCHES, or "stranger"."""
+    """Draw and photograph a lab: a name of BENCHES, or "stranger"; "stray": with a body that no file lists."""
     rng = np.random.default_rng((33, seed))
     sensor = SENSORS[("clean", "camera", "8 bit")[seed % 3]]
     if kind == "stranger":
@@ -94,14 +86,15 @@ def photographed(kind: str, seed: int, fault: str = "") -> Photographed:
         nominal = at_size(demo_scene(kind), size_px)
         truth = misalign(nominal, seed, barrel=BARREL_35MM if kind == "one_sphere_250" else 0.0)
         board = Chessboard(square_mm, 0.4 * square_mm)
-    nominal, shown, truth, priors = CHANGES[fault](nominal, truth, rng)
+    if fault == "stray":
+        truth = _with_stray(truth, rng)
     print_ = Print(board.square_mm, 0.4 * board.square_mm)
     frames = []
-    for number, scene in enumerate((shown.with_bodies(()), shown)):
+    for number, scene in enumerate((truth.with_bodies(()), truth)):
         light = render_irradiance(scene, print_, samples=RAYS, seed=2 * seed + number)
         image = sensor.expose(light, seed=2 * seed + number)
         frames.append(TargetFrame(("bare", "glass")[number], image, bool(number)))
-    return Photographed(nominal, truth, board, tuple(frames), priors)
+    return Photographed(nominal, truth, board, tuple(frames))
 
 
 def compared(lab: Photographed) -> Compared:
@@ -133,16 +126,7 @@ def compared(lab: Photographed) -> Compared:
     return Compared(fit, parts[0], parts[1], off / max(handed, 1))
 
 
-Changed = tuple[
-    Scene, Scene, Scene, FitTable
-]  # nominal, what is photographed, what measurements see, what is told
-
-
-def _right(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
-    return nominal, truth, truth, FitTable()
-
-
-def _stray(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
+def _with_stray(truth: Scene, rng: np.random.Generator) -> Scene:
     """A bead, a drop or a speck that no file lists, before a ball."""
     camera, sensor = np.array(truth.camera.position_mm), np.array(truth.camera.sensor_px)
     for _ in range(1000):
@@ -159,66 +143,7 @@ def _stray(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
             continue
         medium: Medium | None = ConstantMedium(float(rng.uniform(1.3, 1.6))) if rng.random() < 0.7 else None
         try:
-            shown = truth.with_bodies([*truth.bodies, Sphere("stray", tuple(centre.tolist()), radius, medium)])
+            return truth.with_bodies([*truth.bodies, Sphere("stray", tuple(centre.tolist()), radius, medium)])
         except SceneError:
             continue
-        return nominal, shown, shown, FitTable()
     raise SceneError("no place for a stray body")
-
-
-def _index(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
-    """A glass held beside its index."""
-    off = float(np.exp(rng.uniform(*np.log((1e-3, 2e-2)))) * rng.choice([-1.0, 1.0]))
-    wrong = [replace(ball, medium=shifted(ball.medium, off)) for ball in nominal.spheres]
-    return nominal.with_bodies(wrong), truth, truth, FitTable(n=0.0)
-
-
-def _ball_off(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
-    """A ball held where it does not stand, the others placed exactly."""
-    ball = truth.spheres[rng.integers(len(truth.spheres))].name
-    held = FitTable(named={ball: FitNamedTable(centre_mm=0.0)})
-    shown = lifted(truth, ball, float(np.exp(rng.uniform(*np.log((0.2, 2.0))))))
-    return nominal.with_bodies(truth.bodies), shown, shown, held
-
-
-def _lens_term(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
-    """A lens with terms that are held at 0."""
-    share = float(rng.uniform(1.0, 10.0))
-    lens = replace(truth.camera.lens, k2=1.5 * share * float(rng.choice([-1.0, 1.0])), p1=3e-4 * share)
-    shown = truth.with_camera(replace(truth.camera, lens=lens))
-    return nominal, shown, shown, FitTable()
-
-
-def _lens_off_axis(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
-    """A barrel whose middle is not the sensor's; k1 alone is free."""
-    camera = truth.camera
-    half_px = 0.5 * (camera.sensor_px[0] - 1)
-    moved = tuple((np.array(camera.principal_px) + half_px * rng.uniform(-0.2, 0.2, 2)).tolist())
-    k1 = float(rng.uniform(0.005, 0.03)) * (camera.focal_px / half_px) ** 2
-    shown = truth.with_camera(replace(camera, principal_px=moved, lens=Lens(k1=k1)))
-    return nominal, shown, shown, FitTable()
-
-
-def _lamp(nominal: Scene, truth: Scene, rng: np.random.Generator) -> Changed:
-    """Target frames in the light of an LED that is told to be the laser; melts are near their catalogue."""
-    glass = [MEDIA[GLASSES[rng.integers(len(GLASSES))]] for _ in range(2)]
-    melts = [shifted(medium, float(rng.normal(0.0, MELT))) for medium in glass]
-    chosen = rng.integers(2, size=len(nominal.spheres))
-    dressed = [
-        scene.with_bodies([replace(s, medium=media[n]) for s, n in zip(scene.spheres, chosen, strict=True)])
-        for scene, media in ((nominal, glass), (truth, melts))
-    ]
-    nominal, truth = (replace(scene, wavelength_nm=LASER_NM) for scene in dressed)
-    shown = replace(truth, wavelength_nm=float(rng.uniform(*LAMPS_NM)))
-    return nominal, shown, truth, FitTable(light=LightTable(mean_nm=LASER_NM))
-
-
-CHANGES: dict[str, Callable[[Scene, Scene, np.random.Generator], Changed]] = {
-    "": _right,
-    "stray": _stray,
-    "index": _index,
-    "ball off": _ball_off,
-    "lens term": _lens_term,
-    "lens off axis": _lens_off_axis,
-    "lamp": _lamp,
-}

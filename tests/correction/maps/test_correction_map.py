@@ -1,6 +1,7 @@
 """The inverse map: exact, complete, with a reason for every node that is missing."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ ARRAYS = ("status", "pixel", "jacobian", "weight", "transmittance", "branch")
 FLOATS = ("pixel", "jacobian")
 
 
+@cache
 def inverted(name, **options):
     scene = small_scene(name)
     return scene, build_correction_map(scene, build_ray_map(scene), **options)
@@ -254,7 +256,7 @@ def test_same_bits_for_any_number_of_threads(monkeypatch):
     maps = []
     for threads in ("1", "2", "3"):
         monkeypatch.setenv("RTPIV_THREADS", threads)
-        maps.append(inverted("pyramid_500")[1])
+        maps.append(inverted.__wrapped__("pyramid_500")[1])
     for other in maps[1:]:
         assert np.array_equal(maps[0].pixel, other.pixel, equal_nan=True)
         assert np.array_equal(maps[0].status, other.status)
