@@ -179,8 +179,7 @@ class Inversion:
         view = DirectView(place, self.tables, discs, lockstep, only_spheres, glass_only, lens_free, self._frame())
 
         def work(first: int, last: int) -> None:
-            x, y = np.arange(width, dtype=np.float64), np.empty(width)
-            x = (x - place[CENTRE_U]) / place[FOCAL]
+            x, y = (np.arange(width) - place[CENTRE_U]) / place[FOCAL], np.empty(width)
             spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
             scratch = DirectScratch(x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
             direct_rows(view, first, last, scratch, maps)
@@ -221,8 +220,7 @@ class Inversion:
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
         # Behind walls the direct view is sought as the others are, unless it was found.
-        walled = not self.way.scene.arrangement.is_one_room
-        least = 0 if walled and self.window is None else 1
+        least = int(self.way.scene.arrangement.is_one_room or self.window is not None)
         sensor = self.ray_map, self.grid, self.problem, self.longest_mm, least
         if self.way.inverse_kind is Kind.BUNDLES:
             self._solve_many(Sheets(*sensor, self._sequences()))
