@@ -101,7 +101,7 @@ class LineStream(Generic[T]):
         self._read = read
         self._lines = Lines(ends, longest)
         self._singles = singles or {}
-        self._parts = _parts_of(ends, bytes(self._singles))
+        self._parts = _parts_of(bytes(self._singles))
 
     @property
     def rest(self) -> bytes:
@@ -111,15 +111,21 @@ class LineStream(Generic[T]):
     def feed(self, chunk: bytes) -> list[T | ProtocolViolation]:
         """Add bytes; return what is complete now."""
         found: list[T | ProtocolViolation] = []
-        for part in self._parts.findall(chunk):
-            if self._singles and part[0] in self._singles:
+        for part in self._parts.split(chunk) if self._singles else (chunk,):
+            if part and part[0] in self._singles:
                 found.append(self._singles[part[0]])
                 continue
             for piece in self._lines.fitting(part):
                 try:
-                    found += [self._read(line) for line in self._lines.feed(piece)]
+                    lines = self._lines.feed(piece)
                 except ProtocolViolation as violation:
                     found.append(violation)
+                    continue
+                for line in lines:
+                    try:
+                        found.append(self._read(line))
+                    except ProtocolViolation as violation:
+                        found.append(violation)
         return found
 
 
@@ -143,7 +149,6 @@ def _ends_of(ends: bytes) -> re.Pattern[bytes]:
 
 
 @cache
-def _parts_of(ends: bytes, singles: bytes) -> re.Pattern[bytes]:
-    """Pattern of the parts of a chunk: bytes that are whole messages, ends of lines, and text between them."""
-    single = b"[" + re.escape(singles) + b"]|" if singles else b""
-    return re.compile(single + b"[" + re.escape(ends) + b"]+|[^" + re.escape(ends + singles) + b"]+")
+def _parts_of(singles: bytes) -> re.Pattern[bytes]:
+    """Pattern that cuts a chunk before and behind bytes that are whole messages, which it keeps."""
+    return re.compile(b"([" + re.escape(singles) + b"])" if singles else b"")

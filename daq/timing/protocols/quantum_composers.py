@@ -23,7 +23,7 @@ docs/devices.md says for each word where it stands.
 
 import re
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 from stages.errors import ProtocolViolation
 from stages.protocols.framing import LineStream, TextLine, text_of
@@ -97,6 +97,7 @@ ANSWERS = (Done, Refused, Value, Echo)
 Answer = Done | Refused | Value | Echo
 
 
+@lru_cache(maxsize=512)
 def short_forms(keyword: str) -> tuple[str, ...]:
     """Return the short forms of a keyword, the number of its pulse apart: ``:Pulse2:State`` is PULS, 2, STAT.
 
