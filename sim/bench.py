@@ -6,7 +6,7 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -19,7 +19,6 @@ from daq.bench.elements import CAMERA
 from daq.bench.kinds import kind_of
 from daq.bench.reading import ReadingSection
 from daq.errors import RunUsageError
-from daq.plans.steps import Step
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
@@ -73,6 +72,9 @@ class SimulatedBench:
     ConfigError
         The section is wrong.
     """
+
+    check_views = staticmethod(check_views)  # refuses a plan that cannot be shown, before anything runs
+    estimate_s = staticmethod(estimate_s)
 
     def __init__(self, bench: Bench, shows: str = "chessboard", exposures_before: int = 0) -> None:
         table = simulation_of(bench)
@@ -146,16 +148,6 @@ class SimulatedBench:
     def needs_camera_libraries(bench: Bench) -> bool:
         """Return whether the cameras stand behind what their backends' libraries speak."""
         return simulation_of(bench).camera_transport != "memory"
-
-    @staticmethod
-    def check_views(bench: Bench, steps: Iterable[Step]) -> None:
-        """Refuse a plan that cannot be shown, before anything runs."""
-        check_views(bench, steps)
-
-    @staticmethod
-    def estimate_s(bench: Bench, steps: Sequence[Step]) -> list[float]:
-        """Seconds that each of some steps will take, most of which draws pictures."""
-        return estimate_s(bench, steps)
 
     def true_mm(self) -> dict[str, float]:
         """Return the true position of every axis, in its own coordinate."""

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, Literal
 
-from daq.timing.errors import LaserDoubt, LaserStopped
-from daq.timing.pulses import Role, Schedule
+from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused
+from daq.timing.pulses import Pulse, Role, Schedule
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import CommandRejected, DeviceLost, MotionStopped, NoReply, PortError, ProtocolViolation
 from stages.link import QUIET_S, Link
@@ -152,6 +152,13 @@ class TimingBox(Link):
         """
 
     # ---- on ------------------------------------------------------------------------------------
+
+    def _wired(self, schedule: Schedule) -> dict[Role, Pulse]:
+        """Pulses of a schedule, all of which have an output; a marker needs none."""
+        for role in schedule.pulses:
+            if role not in self.wiring and role is not Role.MARKER:
+                raise PulsesRefused(f"{self.name} has no output for {role}; assign one in channels")
+        return {role: pulse for role, pulse in schedule.pulses.items() if role in self.wiring}
 
     @abstractmethod
     def load(self, schedule: Schedule) -> Schedule:

@@ -128,9 +128,7 @@ class QuantumComposersBox(TimingBox):
     def load(self, schedule: Schedule) -> Schedule:
         """Write and read back; the period only if it is another one, so that lamps do not miss a beat."""
         with self._lock:
-            for role in schedule.pulses:
-                if role not in self.wiring and role is not Role.MARKER:
-                    raise PulsesRefused(f"{self.name} has no output for {role}; assign one in channels")
+            wired = self._wired(schedule)
             self._require_dark()
             for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), *self._gate_settings()):
                 self._keep(T0, keyword, value)
@@ -138,10 +136,7 @@ class QuantumComposersBox(TimingBox):
                 for word, value in self._settings(role):
                     self._keep(self._number(role), word, value)
             period_us = 1e6 * self._put_seconds(T0, "PER", schedule.period_us * 1e-6, 9)
-            pulses = {}
-            for role, pulse in schedule.pulses.items():
-                if role in self.wiring:
-                    pulses[role] = self._load_pulse(role, pulse)
+            pulses = {role: self._load_pulse(role, pulse) for role, pulse in wired.items()}
             return Schedule(period_us, pulses, schedule.light_delay_us)
 
     def start_lamps(self) -> None:
