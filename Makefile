@@ -113,10 +113,8 @@ SEQUENCES ?= 10000
 CASES ?= 10000
 SEED ?= 1
 fuzz: $(STAMP)
-	$(BIN)/python -m tests.fuzz.benches.stages --sequences $(SEQUENCES) --seed $(SEED) --workers 2
-	$(BIN)/python -m tests.fuzz.benches.laser --sequences $(SEQUENCES) --seed $(SEED)
-	$(BIN)/python -m tests.fuzz.benches.light --sequences $(SEQUENCES) --seed $(SEED) --workers 2
-	$(BIN)/python -m tests.fuzz.files.damaged_files --cases $(CASES) --seed $(SEED)
+	FUZZ_SEQUENCES=$(SEQUENCES) FUZZ_CASES=$(CASES) FUZZ_SEED=$(SEED) $(BIN)/python -m pytest -m slow --timeout 0 -n 2 tests/fuzz/benches/test_stages.py \
+	tests/fuzz/benches/test_laser.py tests/fuzz/benches/test_light.py tests/fuzz/files/test_commands.py tests/fuzz/files/test_damaged_files.py
 
 # Target frames in the light of twelve lamps: is the map right where the lamp is told, inside its sigma where not?
 lamps: $(STAMP)

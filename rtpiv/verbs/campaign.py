@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, Unpack
 
-from daq.errors import RunUsageError, Unfinished
+from daq.errors import RunUsageError
 from ground.plain_words import quantity
 from ground.rows import thread_count
 from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, adopt, ask_for, trial
 from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
-from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, missing_chunks_text
+from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, require_finished
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.chunk import evaluate_chunk
@@ -156,18 +156,11 @@ def campaign(
         if action == "run":
             with workers.executor(folder) as executor:
                 evaluate = evaluate_elsewhere if workers.is_elsewhere else evaluate_chunk
-                chunks = run_campaign(folder, executor, evaluate)
-            were = "was" if chunks.kept == 1 else "were"
-            screen.print(f"{quantity(chunks.made, 'chunk')} made, {chunks.kept} {were} there")
+                kept, made = run_campaign(folder, executor, evaluate)
+            screen.print(f"{quantity(made, 'chunk')} made, {kept} {'was' if kept == 1 else 'were'} there")
         states = campaign_status(folder)
         show_campaign(screen, states)
-        missing = sum(state.chunks - state.done for state in states)
-        if missing:
-            raise Unfinished(
-                missing_chunks_text(missing),
-                place=folder.path,
-                cure=f"resume with rtpiv campaign run -o {folder.path}",
-            )
+        require_finished(folder, states)
         if action == "run":
             screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
         return states

@@ -35,9 +35,9 @@ from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.recipe import CorrectionRecipe, Resampling
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.through_glass import through_glass
-from rtpiv.analysis.views.arranged import little
 from rtpiv.verbs.paths import Named, path_of, paths_of
 from rtpiv.verbs.results import results_in
+from rtpiv.verbs.show import say_through
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -202,10 +202,7 @@ def correct(
         summary["through_glass"] = None if shown_share is None else shown_share.share
         summary["target_errors"] = [error.to_dict() for error in errors]
         write_json(out / "correction.json", summary)
-        if shown_share is not None:
-            screen.print(shown_share.sentence, style="bold")
-            if advice := little(loaded, shown_share.share):
-                screen.print(advice, style="bold red")
+        say_through(screen, shown_share, loaded)
         _print(screen, loaded, dewarp, corrector, frames, errors)
         if fitted.sheet is not None:
             plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"

@@ -1,6 +1,7 @@
 """Printing of results; the code that computes them prints nothing."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,7 +9,6 @@ import numpy as np
 from rich.console import Console
 
 from ground.plain_words import quantity
-from rtpiv.analysis.digits import places
 from rtpiv.analysis.report.table import Table
 
 if TYPE_CHECKING:  # printing a calibration must not import the evaluation of a series
@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # printing a calibration must not import the evaluation of a 
     from rtpiv.analysis.pairs.evaluation import Evaluation
     from rtpiv.analysis.series.mean_flow import MeanFlow
     from rtpiv.analysis.series.run_series import Evaluated
+    from rtpiv.analysis.through_glass import ThroughGlass
     from tracer.scene.scene import Scene
 
 HIGHEST = 0.99  # of all speeds of a mean: a few outliers are no flow
@@ -31,6 +32,17 @@ def show_through(screen: Console, scene: "Scene") -> None:
 
     if (shown := gaps_of_scene(scene.in_light_sheet()) or through_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")
+
+
+def say_through(screen: Console, shown: "ThroughGlass | None", scene: "Scene") -> None:
+    """Print the share seen through glass, with advice where it is little."""
+    if shown is None:
+        return
+    from rtpiv.analysis.views.arranged import little
+
+    screen.print(shown.sentence, style="bold")
+    if advice := little(scene, shown.share):
+        screen.print(advice, style="bold red")
 
 
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
@@ -170,21 +182,14 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path | None, said: Collec
 
 def show_calibration(screen: Console, found: "Calibration", page: bool = True) -> None:
     """Print the results of a fit, and what the frames leave undetermined."""
-    if (through := found.through) is not None:
-        from rtpiv.analysis.views.arranged import little
+    from rtpiv.analysis.report.calibration import calibration_lead, parameter_table
 
-        screen.print(through.sentence, style="bold")
-        if advice := little(found.fit.measured_scene, through.share):
-            screen.print(advice, style="bold red")
-    screen.print(_number_table(found))
-    screen.print(_error_table(found))
-    for region, values in found.percentiles.items():
-        screen.print(f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.4f} px")
     fit = found.fit
-    for region, counts in found.account.items():
-        visible = f" of {counts['visible']} visible" if "visible" in counts else ""
-        outliers = f"{counts['rejected']} rejected as outliers beyond 5 sigma"
-        screen.print(f"corners {region}: {counts['measured']}{visible} measured, {outliers}")
+    say_through(screen, found.through, fit.measured_scene)
+    title = f"fitted scene {fit.measured_scene.content_hash()}; every other number was held fixed"
+    screen.print(replace(parameter_table(found), title=title))
+    screen.print(_error_table(found))
+    screen.print(calibration_lead(found)[1])
     for behind, alike in fit.verdict.correlation.items():
         if alike.corners:
             region = "behind glass" if behind else "seen directly"
@@ -196,17 +201,6 @@ def show_calibration(screen: Console, found: "Calibration", page: bool = True) -
             screen.print(found.weakness_sentence(weakness))
     if said := found.harmless_said:
         screen.print(f"{said}; {'calibration.html' if page else 'calibration.json'} names them")
-
-
-def _number_table(found: "Calibration") -> Table:
-    rows = []
-    for name, row in found.numbers.items():
-        digits = places(row["sigma"])
-        unit = f" [{row['unit']}]" if row["unit"] else ""
-        fitted, known, moved = (f"{row[part]:z.{digits}f}" for part in ("value", "sigma", "moved"))
-        rows.append((f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}"))
-    title = f"fitted scene {found.fit.measured_scene.content_hash()}; every other number was held fixed"
-    return Table(title, ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"), rows)
 
 
 def _error_table(found: "Calibration") -> Table:

@@ -22,12 +22,12 @@ from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, percent, plane_share
-from rtpiv.analysis.views.arranged import little
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.analysis.views.sigma_forecast import CentreSigma, packing_forecast
 from rtpiv.analysis.views.two_cameras import ball_sentences, seen_twice, two_cameras
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
+from rtpiv.verbs.show import say_through
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_priors, load_scene
@@ -139,10 +139,8 @@ def trace(
         gaps = gap_share(loaded, seen, light)
         if gaps is not None:
             screen.print(gaps.sentence, style="bold")
-        elif share.through is not None:
-            screen.print(share.through.sentence, style="bold")
-            if advice := little(loaded, share.through.share):
-                screen.print(advice, style="bold red")
+        else:
+            say_through(screen, share.through, loaded)
         screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
         if share.bodies:
             screen.print(_body_table(share))

@@ -94,7 +94,7 @@ IN_TEXT = {  # with words behind the verb -> the same in a lab after its first h
     "laser prove": NAMED,
     "bench stage < morning.txt": "a shell's own word: tests/system/test_stage_terminal.py",
     "bench stage move --home glass_y=-20": "tests/system/test_first_day.py",
-    "acquire --resume runs/<run>": "a run that was stopped: tests/system/test_kill.py",
+    "acquire --resume runs/<run>": "a run that was stopped: tests/system/test_kills.py",
     "acquire --resume --home": "the same",
     "acquire --resume RUN --home": REHEARSED,
     "acquire --resume runs/<run> --retake": "a run with damage: tests/daq/runs/test_damaged_frames.py",

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 from daq.bench.bench_file import load_bench
 from sim.bench_table import SimulationTable
@@ -89,3 +90,30 @@ def end(process):
         process.kill()
     out, errors = process.communicate(timeout=60)
     return process.returncode, out, errors
+
+
+def children_of(number):
+    """Processes that a process has started, from the system's own table."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdecimal():
+            try:
+                fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if int(fields[1]) == number:
+                found.append(int(folder.name))
+    return found
+
+
+def ends(number, within_s=20.0):
+    """Whether a process is gone before long."""
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        try:
+            if (Path("/proc") / str(number) / "stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    return False

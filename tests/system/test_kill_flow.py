@@ -20,7 +20,7 @@ import yaml
 
 from daq.runs.pairs import pairs_of
 from tests.daq.flow_bench import write_flow
-from tests.system.test_kill_series import children_of
+from tests.system.served import children_of
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import pytest
+import tifffile
 
 from daq.bench.bench_file import load_bench
 from daq.plans.plan import load_plan
@@ -70,6 +71,7 @@ class Campaign:
         (folder / "links").mkdir()
         (folder / "plan.yaml").write_text(PLANS[kind])
         self.shows = "chessboard" if kind == "target" else "particles"
+        self.corrects = [] if kind == "shift" and victim == "runner" else ["--no-correct"]
         self.bench_process, self.exposures = None, 0
         self.runner = None
         self.kills = self.sessions = 0
@@ -84,7 +86,7 @@ class Campaign:
         words = (
             ["acquire", "--resume", str(runs[0])]
             if runs
-            else ["acquire", "plan.yaml", "-o", "runs", "--no-correct", *simulate]
+            else ["acquire", "plan.yaml", "-o", "runs", *self.corrects, *simulate]
         )
         command = [sys.executable, "-m", "rtpiv.command_line.cli", *words, "--home"]
         where = {"cwd": self.folder, "env": os.environ | {"TMPDIR": str(self.folder)}}
@@ -239,6 +241,9 @@ def test_kills(tmp_path, kind, victim):
         assert len(lines) == len(frames) + len(discarded), "a frame is there twice"
         assert {path.name for path in (run.path / "frames").iterdir()} == {f"{n:06d}.tif" for n in frames}
         assert find_misfiled(run.path) == []
+        if not campaign.corrects:
+            corrected = [tifffile.imread(path) for path in (run.path / "corrected").glob("[0-9]*.tif")]
+            assert len(corrected) == len(frames)
         checked = check_run(run.path)
         assert checked.is_sound, checked.findings
     print(f"{kind}, {victim}: {kills} kills in {seed} runs")

@@ -30,7 +30,7 @@ from piv.statistics.denoised_mean import DenoisedMean
 from piv.statistics.effective_samples import EffectiveSamples, mean_sigma
 from piv.statistics.merge_tree import merge_in_order
 from piv.statistics.moments import Moments
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
 from rtpiv.analysis.series.series_folder import marker_of
 from rtpiv.analysis.series.series_mean import mean_of_series, mean_vectors, write_mean, write_statistics
@@ -73,11 +73,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
         As `rtpiv.analysis.series.series_mean.mean_of_series`.
     """
     states = campaign_status(folder)
-    missing = sum(state.chunks - state.done for state in states)
-    if missing:
-        raise Unfinished(
-            missing_chunks_text(missing), place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}"
-        )
+    require_finished(folder, states)
     names = [state.name for state in states]
     views = [SeriesView(folder.series(name).path) for name in names]
     means = [mean_of_series(view) for view in views]
@@ -98,9 +94,11 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     return merged
 
 
-def missing_chunks_text(chunks: int) -> str:
-    """Return the number of missing chunks as the begin of a sentence."""
-    return f"{quantity(chunks, 'chunk')} {'is' if chunks == 1 else 'are'} missing"
+def require_finished(folder: CampaignFolder, states: Sequence[RunStatus]) -> None:
+    """Raise Unfinished if chunks are missing."""
+    if missing := sum(state.chunks - state.done for state in states):
+        text = f"{quantity(missing, 'chunk')} {'is' if missing == 1 else 'are'} missing"
+        raise Unfinished(text, place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}")
 
 
 def write_index(folder: CampaignFolder) -> None:

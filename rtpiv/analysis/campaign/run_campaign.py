@@ -7,7 +7,6 @@ full disk does not become empty by trying.
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
 
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import plan_runs
@@ -17,23 +16,9 @@ from rtpiv.analysis.series.series_plan import ChunkJob
 from rtpiv.analysis.series.workers import carry_out_with_progress
 
 
-@dataclass(frozen=True)
-class CampaignProgress:
-    """Chunks of a campaign after one call.
-
-    Parameters
-    ----------
-    kept, made : int
-        Chunks that were there and sound, and those made now.
-    """
-
-    kept: int
-    made: int
-
-
 def run_campaign(
     folder: CampaignFolder, executor: Executor | None, evaluate: Callable[[ChunkJob], object] = evaluate_chunk
-) -> CampaignProgress:
+) -> tuple[int, int]:
     """Evaluate what is missing of a campaign.
 
     Parameters
@@ -44,6 +29,11 @@ def run_campaign(
         Its workers evaluate the chunks; without one this process does.
     evaluate : callable
         Called by a worker with each chunk.
+
+    Returns
+    -------
+    (int, int)
+        Number of chunks that were there and sound, and of those made now.
 
     Raises
     ------
@@ -68,4 +58,4 @@ def run_campaign(
                 correction_of(jobs[0].maps, planned.given.method)
         for _ in carry_out_with_progress(evaluate, missing, executor):
             pass
-        return CampaignProgress(kept, len(missing))
+        return kept, len(missing)

@@ -13,7 +13,6 @@ from ground.errors import MapFileError
 from ground.plain_words import quantity
 from rtpiv.analysis.calibration import Calibration
 from rtpiv.analysis.digits import places
-from rtpiv.analysis.pictures.calibration import map_sigma_figure, smooth_figure
 from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.table import Table
 from tracer.scene.scene import Scene
@@ -42,6 +41,8 @@ def calibration_chapter(page: Page, fit_file: Path, scene: Scene) -> None:
 
 def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     """Write the page of a calibration of the frames called `of`."""
+    from rtpiv.analysis.pictures.calibration import map_sigma_figure, smooth_figure  # draws
+
     fit = found.fit
     page = Page(f"{of}: calibration", f"{quantity(len(fit.frames), 'frame')} of the target")
     recovered = np.isfinite(found.sigma.sigma_px[..., 0])
@@ -110,6 +111,8 @@ def _say_verdict(page: Page, found: StoredVerdict) -> None:
 
 def _smooth_residuals(page: Page, found: StoredVerdict, views: Literal["all", "others"]) -> None:
     """Draw the smooth part of residuals, without the view that a page has shown already if it is of others."""
+    from rtpiv.analysis.pictures.calibration import smooth_figure  # draws
+
     figure = smooth_figure(found, views)
     if figure is not None:
         page.figure("smooth_residuals", figure, CAPTION, dense=True)

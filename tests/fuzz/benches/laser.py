@@ -1,14 +1,9 @@
 """Random sequences of verbs, faults and persons over a laser, before the judge of `laser_judge`.
 
-    python -m tests.fuzz.benches.laser --sequences 20000 --seed 1
-
 A seed and a number of it play a story again: `Story("1-17").tell(14)`.
 """
 
-import argparse
 import math
-import sys
-import time
 from collections import Counter
 from contextlib import suppress
 from typing import ClassVar
@@ -350,7 +345,7 @@ class Story(JudgedLaser):
                 self.found.append("something is on after the end")
 
 
-def play(sequences, seed, length=14, until_s=None):
+def play(sequences, seed, length=14):
     """Tell stories; return their books, and the log of the first in which something was found."""
     books = Counter()
     for number in range(sequences):
@@ -364,24 +359,4 @@ def play(sequences, seed, length=14, until_s=None):
         books["unseen"] += story.unseen
         if story.found:
             return books, [f"seed {seed}-{number}", *story.log, *story.found]
-        if until_s is not None and time.monotonic() > until_s:
-            break
     return books, []
-
-
-def main():
-    """Run from the command line."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--sequences", type=int, default=20_000)
-    parser.add_argument("--seed", default="1")
-    parser.add_argument("--length", type=int, default=14)
-    options = parser.parse_args()
-    begun_s = time.monotonic()
-    books, found = play(options.sequences, options.seed, options.length)
-    print(dict(books), f"{time.monotonic() - begun_s:.0f} s")
-    print("\n".join(found) or "nothing found")
-    sys.exit(bool(found))
-
-
-if __name__ == "__main__":
-    main()

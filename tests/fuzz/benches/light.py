@@ -1,7 +1,5 @@
 """Laser and stages of one bench, fuzzed together: nothing moves while light leaves, and none leaves near anything.
 
-    python -m tests.fuzz.benches.light --sequences 20000 --seed 1 --workers 2
-
 To what happens to a laser (`laser`) comes what happens to the stages of `bench`: another thread moves and
 homes them at any moment, between any two bytes that go to the timing unit; their boxes restart, are unplugged,
 answer late or wrongly. Conditions are asked as a run asks them (`runner.laser_session`), by the steps of the real
@@ -16,12 +14,9 @@ sheet     whether ball and target are truly clear of the sheet, which lies in z 
 ========  ==========================================================================================
 
 The witness of the stages judges keep-out and limits of every motion besides.
+A seed and a number of it play a story again: `Playground().tell("1-17", 14)`.
 """
 
-import argparse
-import os
-import sys
-import time
 from collections import Counter
 from contextlib import ExitStack, contextmanager
 
@@ -94,34 +89,3 @@ def play(numbers, seed, length=14, playground=None):
         if story.found:
             return books, [f"seed {seed}-{number}", *story.log, *story.found]
     return books, []
-
-
-def main():
-    """Run from the command line."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--sequences", type=int, default=20_000)
-    parser.add_argument("--seed", default="1")
-    parser.add_argument("--length", type=int, default=14)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--only", help="one number of the seed")
-    options = parser.parse_args()
-    if options.only is not None:
-        story = Playground().tell(f"{options.seed}-{options.only}", options.length)
-        print("\n".join(story.log + story.found))
-        return
-    children = []
-    for first in range(options.workers):
-        child = os.fork()
-        if child == 0:
-            begun_s = time.monotonic()
-            numbers = range(first, options.sequences, options.workers)
-            books, found = play(numbers, options.seed, options.length)
-            print(dict(books), f"{time.monotonic() - begun_s:.0f} s", *(found or ["nothing found"]), sep="\n")
-            sys.stdout.flush()
-            os._exit(bool(found))
-        children.append(child)
-    sys.exit(any(os.waitpid(child, 0)[1] for child in children))
-
-
-if __name__ == "__main__":
-    main()

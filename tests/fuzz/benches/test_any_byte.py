@@ -51,12 +51,12 @@ def played(playground, controller, do, what, number, action):
         *(Command(command) for command in AFTER),
     ]
     findings = playground.play(sequence).findings
-    assert not findings, f"{findings[0]}  --replay '{written(sequence)}'"
+    assert not findings, f"{findings[0]}  {written(sequence)}"
 
 
 @loop_over("controller, number", CASES)
 def test_at_some_places(controller, number):
-    playground, do = Playground(longest_s=0), DURING[controller][number]
+    playground, do = Playground(), DURING[controller][number]
     half = (ACTIONS + OF_THE_BOX[controller])[number::2]  # the slow test plays each of them in both commands
     for place, action in zip(itertools.cycle((1, 7) if number else (3, 9)), half):
         played(playground, controller, do, "byte", 7 * place, action)
@@ -65,7 +65,7 @@ def test_at_some_places(controller, number):
 @pytest.mark.slow
 @pytest.mark.parametrize(("controller", "number"), CASES)
 def test_at_every_place(controller, number):
-    playground, do = Playground(longest_s=0), DURING[controller][number]
+    playground, do = Playground(), DURING[controller][number]
     count = traffic(playground, controller, do)
     assert count["byte"] > 5
     for what, most in count.items():

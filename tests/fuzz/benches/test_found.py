@@ -50,4 +50,4 @@ FOUND = {
 
 @pytest.mark.parametrize("what", FOUND)
 def test_what_was_found_shows_nothing(what):
-    assert Playground(longest_s=0).play(read(FOUND[what])).findings == []
+    assert Playground().play(read(FOUND[what])).findings == []

@@ -7,6 +7,7 @@ from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.laser import Laser
 from daq.timing.states import Event, LaserState
 from sim.emulators.protocol_sim import LINES
+from tests.fuzz.amount import PATIENCE_S, seed, sequences
 from tests.fuzz.benches.laser import Story, play
 
 
@@ -18,28 +19,15 @@ def test_no_pulse_that_was_not_asked_for():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
+@pytest.mark.timeout(PATIENCE_S)
 def test_no_pulse_in_4_000_sequences():
-    """Two minutes of a core; `make fuzz` plays as many as wanted of another seed."""
-    books, found = play(4_000, "1")
+    """A minute of a core; `make fuzz` plays as many as wanted of another seed."""
+    _, found = play(sequences(4_000), seed("1"))
     assert not found, "\n".join(found)
-    assert books["sequences"] == 4_000
 
 
 def says_nothing(self, *_):
     """A stop that reaches nobody."""
-
-
-def test_the_judge_sees_a_stop_that_does_not_switch_off(monkeypatch):
-    monkeypatch.setattr(TimingBox, "drop", says_nothing)
-    _, found = play(200, "blind 11")
-    assert any("while unknown" in line for line in found)
-
-
-def test_the_judge_sees_a_state_that_goes_ahead_of_the_box(monkeypatch):
-    monkeypatch.setattr(Laser, "look", ends_early)
-    _, found = play(200, "early 12")
-    assert any("while ready" in line for line in found)
 
 
 def test_the_judge_sees_a_burst_whose_end_is_left_to_the_box(monkeypatch):
@@ -61,12 +49,6 @@ def endless(number):
     return story.found
 
 
-def test_the_judge_sees_an_end_that_comes_late(monkeypatch):
-    monkeypatch.setattr(QuantumComposersBox, "end", ends_late)
-    _, found = play(300, "late 27")
-    assert any("after the time of its chunk" in line for line in found), found
-
-
 def ends_late(box, end=QuantumComposersBox.end):
     box.clock.sleep_s(0.5)
     end(box)
@@ -78,20 +60,28 @@ def ends_early(laser):
     return False
 
 
-def test_the_judge_sees_a_laser_that_is_given_up_while_its_cable_is_loose(monkeypatch):
-    monkeypatch.setattr("daq.timing.shutdown.LEAVING_S", 0.0)
-    _, found = play(20, "loose 11")
-    assert found[-1:] == ["something is on after the end"]
+AFTER_A_PERSON = "after a person has ended the light"
+JUDGED = {  # what is taken away, so many stories of a seed, and what the judge says
+    "a stop that does not switch off": ([(TimingBox, "drop", says_nothing)], 200, "blind 11", "while unknown"),
+    "a state that goes ahead of the box": ([(Laser, "look", ends_early)], 200, "early 12", "while ready"),
+    "an end that comes late": ([(QuantumComposersBox, "end", ends_late)], 300, "late 27", "after the time of its"),
+    "a laser that is given up while its cable is loose": (
+        [("daq.timing.shutdown.LEAVING_S", 0.0)], 20, "loose 11", "something is on after the end",
+    ),
+    "a door that holds the laser only while it is open": (
+        [(Laser, "switch_opened", says_nothing)], 60, "door", AFTER_A_PERSON,
+    ),
+    "a burst that undoes a stop": (
+        [(QuantumComposersBox, "require_lamps", says_nothing),
+         (QuantumComposersBox, "_start", QuantumComposersBox._start_slowly)], 200, "undone 15", AFTER_A_PERSON,
+    ),
+}  # fmt: skip
 
 
-def test_the_judge_sees_a_door_that_holds_the_laser_only_while_it_is_open(monkeypatch):
-    monkeypatch.setattr(Laser, "switch_opened", says_nothing)
-    _, found = play(60, "door")
-    assert any("after a person has ended the light" in line for line in found), found
-
-
-def test_the_judge_sees_a_burst_that_undoes_a_stop(monkeypatch):
-    monkeypatch.setattr(QuantumComposersBox, "require_lamps", says_nothing)
-    monkeypatch.setattr(QuantumComposersBox, "_start", QuantumComposersBox._start_slowly)
-    _, found = play(200, "undone 15")
-    assert any("after a person has ended the light" in line for line in found), found
+@pytest.mark.parametrize("what", JUDGED)
+def test_the_judge_sees(monkeypatch, what):
+    patches, stories, of, words = JUDGED[what]
+    for patch in patches:
+        monkeypatch.setattr(*patch)
+    _, found = play(stories, of)
+    assert any(words in line for line in found), found

@@ -3,6 +3,7 @@
 import pytest
 
 from daq.timing.states import LaserState, LaserStateMachine
+from tests.fuzz.amount import PATIENCE_S, seed, sequences
 from tests.fuzz.benches.light import Playground, play
 from tests.fuzz.benches.light_story import LightStory
 
@@ -28,31 +29,13 @@ def test_nothing_moves_while_light_leaves():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
+@pytest.mark.timeout(PATIENCE_S)
 def test_nothing_moves_while_light_leaves_in_2_000_sequences():
     """Five minutes of a core; `make fuzz` plays as many as wanted of another seed."""
     playground = Playground()
-    for seed in range(8):
-        _, found = play(range(250), f"slow {seed}", playground=playground)
+    for part in range(8):
+        _, found = play(range(sequences(2_000) // 8), f"{seed('slow')} {part}", playground=playground)
         assert not found, "\n".join(found)
-
-
-def test_the_judge_sees_a_laser_that_lets_things_move(monkeypatch):
-    monkeypatch.setattr(LaserStateMachine, "objection", lambda self: None)
-    _, found = play(range(120), "moves e")
-    assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
-
-
-def test_the_judge_sees_a_laser_that_does_not_look_what_moves(monkeypatch):
-    monkeypatch.setattr(LaserStateMachine, "what_moves", lambda self: None)
-    _, found = play(range(50), "looks c")
-    assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
-
-
-def test_the_judge_sees_light_near_the_glass(monkeypatch):
-    monkeypatch.setattr("daq.runner.laser_session.sheet_clearance_mm", lambda bench, where: 100.0)
-    _, found = play(range(50), "near f")
-    assert any("off the sheet" in line for line in found), "\n".join(found)
 
 
 def test_a_box_that_takes_one_line_at_a_time_and_refuses_off_is_told_again_in_50_ms(monkeypatch, without_persons):
@@ -68,3 +51,24 @@ def test_a_reference_run_whose_answer_is_lost_ends_by_its_own_time(without_perso
     """In 180 s, of which nothing is heard; no thread hangs."""
     story = Playground().tell(LOST, 14)
     assert not story.found, "\n".join(story.found)
+
+
+NEAR = "daq.runner.laser_session.sheet_clearance_mm"
+JUDGED = {  # what is taken away, so many stories of a seed, and what the judge says
+    "one that lets things move": (
+        (LaserStateMachine, "objection", lambda self: None),
+        120,
+        "moves e",
+        " moves",
+    ),
+    "one that looks at nothing": ((LaserStateMachine, "what_moves", lambda self: None), 50, "looks c", " moves"),
+    "light near the glass": ((NEAR, lambda bench, where: 100.0), 50, "near f", " off the sheet"),
+}
+
+
+@pytest.mark.parametrize("what", JUDGED)
+def test_the_judge_sees(monkeypatch, what):
+    patch, stories, of, words = JUDGED[what]
+    monkeypatch.setattr(*patch)
+    _, found = play(range(stories), of)
+    assert any(line.startswith("a pulse") and line.endswith(words) for line in found), "\n".join(found)

@@ -17,14 +17,11 @@ from stages.drivers.pi_gcs2 import PiController
 from stages.drivers.thorlabs_apt import AptController
 from stages.drivers.zaber_ascii import ZaberController
 from stages.stop_latch import StopLatch
+from tests.fuzz.amount import PATIENCE_S, seed, sequences
 from tests.fuzz.benches.sequences import Command, drawn, read, written
 from tests.fuzz.benches.stages import Playground, fuzz, shortened
 
 DRIVERS = (AptController, GrblController, IselController, PiController, ZaberController)
-
-
-def kinds(tally):
-    return {text.split(" of ")[0] for _, _, findings in tally.findings for text in findings}
 
 
 def quiet(text):
@@ -33,41 +30,31 @@ def quiet(text):
 
 def test_random_sequences_show_nothing():
     told = []
-    tally = fuzz("fast", range(75), Playground(longest_s=0), tell=told.append)
+    tally = fuzz("fast", range(75), Playground(), tell=told.append)
     assert not told, "\n".join(told)
     assert tally.told > 1000
     ends = {"done", "MotionStopped", "NotReferenced", "Obstructed", "DeviceLost", "Killed"}
     assert ends <= tally.commands.keys()
 
 
-def test_without_keep_out_things_come_too_close():
-    tally = fuzz("guard", range(16, 200), Playground(is_guarded=False, longest_s=0), enough=1, tell=quiet)
-    assert kinds(tally) == {"keep-out"}
-    assert len(tally.findings) == 1
+FORGETFUL = [(each, "_forget_references", lambda self: None) for each in (Controller, GrblController)]
+TRUSTING = [(each, "_still_referenced", lambda self, channel: True) for each in DRIVERS]
+WITHOUT = {  # protection -> what it is taken away with, stories, and the finding
+    "keep-out": ([], "guard", range(16, 200), "keep-out"),
+    "latch": ([(StopLatch, "stop", lambda self, why="": self.halt())], "latch", range(7, 300), "stop"),
+    "asking for references": (TRUSTING + FORGETFUL, "reference", range(24, 300), "told"),
+    "limits": ([(Axis, "check", lambda self, target_mm: None)], "limits", range(1, 300), "limit"),
+}
 
 
-def test_without_the_latch_things_move_after_stops(monkeypatch):
-    """Each stop ends what has begun, and no more."""
-    monkeypatch.setattr(StopLatch, "stop", lambda self, why="": self.halt())
-    tally = fuzz("latch", range(7, 300), Playground(longest_s=0), enough=1, tell=quiet)
-    assert "stop" in kinds(tally)
-    assert len(tally.findings) == 1
-
-
-def test_without_asking_for_references_false_positions_are_told(monkeypatch):
-    """A box is believed until it has lost its port or said of itself that it has moved wrongly."""
-    for driver in DRIVERS:
-        monkeypatch.setattr(driver, "_still_referenced", lambda self, channel: True)
-    monkeypatch.setattr(Controller, "_forget_references", lambda self: None)
-    monkeypatch.setattr(GrblController, "_forget_references", lambda self: None)
-    tally = fuzz("reference", range(24, 300), Playground(longest_s=0), enough=1, tell=quiet)
-    assert "told" in kinds(tally)
-
-
-def test_without_limits_axes_leave_them(monkeypatch):
-    monkeypatch.setattr(Axis, "check", lambda self, target_mm: None)
-    tally = fuzz("limits", range(1, 300), Playground(is_guarded=False, longest_s=0), enough=1, tell=quiet)
-    assert "limit" in kinds(tally)
+@pytest.mark.parametrize("protection", WITHOUT)
+def test_without_a_protection_what_it_prevents_is_found(monkeypatch, protection):
+    patches, of, numbers, kind = WITHOUT[protection]
+    for patch in patches:
+        monkeypatch.setattr(*patch)
+    playground = Playground(is_guarded=protection not in ("keep-out", "limits"))
+    ((_, _, findings),) = fuzz(of, numbers, playground, enough=1, tell=quiet).findings
+    assert kind in {text.split(" of ")[0] for text in findings}
 
 
 class NoTurn:
@@ -90,7 +77,7 @@ def two_at_once(rng):
 
 @pytest.mark.parametrize("takes_turns", [True, False])
 def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
-    playground, rng, seen = Playground(longest_s=0), random.Random(3), []
+    playground, rng, seen = Playground(), random.Random(3), []
     for _ in range(12 if takes_turns else 1500):  # mostly a few; what two threads meet is the machine's business
         if not takes_turns:
             playground.bench.stage._turn.lock = NoTurn()
@@ -101,7 +88,7 @@ def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
 
 
 def test_sequences_know_nothing_of_each_other():
-    playground, numbers = Playground(longest_s=0), range(10)
+    playground, numbers = Playground(), range(10)
     sequences = [
         (number, drawn("order", number)) for number in numbers if "beside" not in written(drawn("order", number))
     ]
@@ -111,7 +98,7 @@ def test_sequences_know_nothing_of_each_other():
 
 
 def test_a_finding_is_shortened_to_what_shows_it():
-    playground = Playground(is_guarded=False, longest_s=0)
+    playground = Playground(is_guarded=False)
     sequence = read(
         '[[["wait",0.1],[]],[["move",{"target_z":1.0}],[]],[["where"],[]],[["clear"],[["rail","byte",3,["halt"]]]],'
         '[["move",{"glass_x":0.0}],[["glass","answer",2,["fault","late",0.2]]]]]'
@@ -123,7 +110,8 @@ def test_a_finding_is_shortened_to_what_shows_it():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(PATIENCE_S)
 def test_many_random_sequences_show_nothing():
     told = []
-    fuzz("slow", range(3000), Playground(longest_s=0), tell=told.append)
+    fuzz(seed("slow"), range(sequences(3000)), Playground(), tell=told.append)
     assert not told, "\n".join(told)

@@ -1,21 +1,15 @@
 """Random command lines, most of them wrong: each ends with an exit code and sentences, none with a traceback.
 
-    python -m tests.fuzz.files.commands --cases 2000 --seed 1
-
 A case is a verb with flags, values and files drawn by its number and the seed: values of the wrong type, huge, of
 other alphabets; files that are missing, damaged, folders, or of another kind.  What the program offers is asked of
 its own parser, so that a new option is tried without a line here.  Left out are what waits for Ctrl-C or a person,
 looks beyond the lab's folder, or computes for minutes; no word names a place outside it, for some are written to.
 """
 
-import argparse
 import contextlib
 import io
-import os
 import random
 import shutil
-import sys
-import tempfile
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -158,24 +152,3 @@ def hostile(seed, numbers, ground, tell=print):
         for finding in tally.findings[told:]:
             tell(finding)
     return tally
-
-
-def run(arguments=None):
-    """Command line."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--cases", type=int, default=1000)
-    options.add_argument("--first", type=int, default=0)
-    options.add_argument("--seed", default="1")
-    given = options.parse_args(arguments)
-    with tempfile.TemporaryDirectory(prefix="rtpiv-commands-") as folder:
-        ground = CommandGround(Path(folder) / "above" / "lab")
-        os.chdir(ground.folder)
-        sys.stdin = io.StringIO()
-        tally = hostile(given.seed, range(given.first, given.first + given.cases), ground)
-        os.chdir("/")
-    print(f"{given.cases} command lines ended with {tally.codes}; {len(tally.findings)} findings")
-    return int(bool(tally.findings))
-
-
-if __name__ == "__main__":
-    sys.exit(run())

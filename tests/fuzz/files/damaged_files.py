@@ -1,21 +1,15 @@
 """Random damage to every file that is read: each case is read, or refused in one sentence, soon, in little memory.
 
-    python -m tests.fuzz.files.damaged_files --cases 100000 --seed 1        (make fuzz CASES=100000)
-
 A case is one file of `originals`, damaged once as its number and the seed say; `--only` plays one again and shows
 what came of it.  Findings are errors that nobody raised on purpose, sentences of several lines (a configuration
 file may have several problems, each in its line), more than LONGEST_S seconds of computing and more than MOST_MB
 beside what the process had before.
 """
 
-import argparse
 import os
 import random
 import resource
-import shutil
 import signal
-import sys
-import tempfile
 import time
 import traceback
 from collections import Counter
@@ -31,7 +25,6 @@ from tests.fuzz.files.originals import ORIGINALS, WARM, scene_read, write_origin
 LONGEST_S = 2.0
 MOST_MB = 500.0
 HUNG_S = 60
-MOST_VIRTUAL = 6_000_000_000  # bytes of address space: a reader that takes all there is must not take the computer
 LONGEST_SENTENCE = 2000  # characters of one problem
 SPOILT = 0.03  # share of cases whose file is none
 
@@ -154,33 +147,3 @@ def fuzz(seed, numbers, playground, enough=10**9, tell=print):
         if len(tally.findings) >= enough:
             break
     return tally
-
-
-def main(arguments=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first case: for a count in parts")
-    parser.add_argument("--seed", default="1")
-    parser.add_argument("--enough", type=int, default=10**9, help="end after so many findings")
-    parser.add_argument("--only", type=int, help="play one case of the seed, and show its error in full")
-    given = parser.parse_args(arguments)
-    folder = Path(tempfile.mkdtemp(prefix="rtpiv-readers-"))
-    try:
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_VIRTUAL, MOST_VIRTUAL))
-        playground, begun_s, computed_s = Playground(folder), time.monotonic(), time.process_time()
-        numbers = range(given.first, given.first + given.cases) if given.only is None else [given.only]
-        tally = fuzz(given.seed, numbers, playground, given.enough)
-        print(
-            f"{tally.cases} cases in {time.monotonic() - begun_s:.0f} s ("
-            f"{time.process_time() - computed_s:.1f} s of "
-            f"computing): {tally.refused} refused, "
-            f"{len(tally.findings)} findings; longest {tally.longest_s:.2f} s, most {tally.most_mb:.0f} MB"
-        )
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-    return int(bool(tally.findings))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -4,6 +4,7 @@ import io
 
 import pytest
 
+from tests.fuzz.amount import PATIENCE_S, cases, seed
 from tests.fuzz.files.commands import CommandGround, hostile
 
 pytestmark = pytest.mark.timeout(900)  # the first time kernels are compiled
@@ -28,9 +29,9 @@ def test_command_lines_end_with_sentences(ground):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
+@pytest.mark.timeout(PATIENCE_S)
 def test_two_thousand_command_lines_end_with_sentences(ground):
-    assert not hostile("slow", range(2000), ground).findings
+    assert not hostile(seed("slow"), range(cases(2000)), ground).findings
 
 
 def test_a_verb_that_lets_an_error_through_is_found(ground, monkeypatch):

@@ -5,6 +5,7 @@
 
 import pytest
 
+from tests.fuzz.amount import PATIENCE_S, cases, seed
 from tests.fuzz.files.damaged_files import LONGEST_S, MOST_MB, Playground, fuzz
 from tests.fuzz.files.originals import ORIGINALS
 
@@ -30,9 +31,9 @@ def test_thousands_of_damaged_files(playground):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
+@pytest.mark.timeout(PATIENCE_S)
 def test_a_hundred_thousand_damaged_files(playground):
-    tally = fuzz("slow", range(100_000), playground)
+    tally = fuzz(seed("slow"), range(cases(100_000)), playground)
     assert not tally.findings
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import meshio
 import numpy as np
-import pytest
 import tifffile
 from scipy.io import loadmat
 
@@ -93,14 +92,6 @@ def test_series_mean_page_and_exports_of_any_name(tmp_path):
     assert meshio.read(pair / "vectors.vtk").point_data
     series = tmp_path / os.fsdecode(b"\xe9valu\xe9") / "series.json"
     assert json.loads(series.read_text("utf-8"))["run"] == "lat\ufffdin \ufffd"
-
-
-@pytest.mark.slow  # the ASCII locale above holds what this one does, and more
-def test_names_in_another_locale(tmp_path):
-    place, out, ones = np.arange(2.0), tmp_path / f"{NAMES[1]} {NAMES[2]}", dict.fromkeys("uv", np.ones((1, 2, 2)))
-    write_vectors(tmp_path / f"{NAMES[0]}.nc", Vectors(place, place, place[:1], ones))
-    run(*(["export", tmp_path / f"{NAMES[0]}.nc", "--to", to, "-o", out] for to in EXPORTS), **LATIN)
-    assert {file.stem for file in out.glob("[!.]*")} == {NAMES[0]}
 
 
 def test_titles_units_and_notes_of_variables(tmp_path):

@@ -19,7 +19,7 @@ from rtpiv.analysis.campaign import campaign_plan
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, choice_of
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, forecast, forecasts, plan_runs
 from rtpiv.analysis.campaign.merge import merge_campaign, merge_means
-from rtpiv.analysis.campaign.run_campaign import CampaignProgress, run_campaign
+from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.series_folder import SeriesFolder, marker_path
@@ -27,7 +27,6 @@ from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.series.split_focus import join_series
-from rtpiv.analysis.series.workers import worker_processes
 from tests.rtpiv.analysis.campaign.small_campaign import carried_out, content_of, planned, two_runs
 from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, flow_run
 
@@ -48,7 +47,7 @@ def runs(tmp_path_factory):
 def whole(runs, tmp_path_factory):
     """The campaign made and merged by one worker."""
     folder = planned(tmp_path_factory.mktemp("whole"), runs)
-    assert carried_out(folder) == CampaignProgress(kept=0, made=CHUNKS)
+    assert carried_out(folder) == (0, CHUNKS)
     merge_campaign(folder)
     return folder
 
@@ -62,19 +61,10 @@ def copy(whole, tmp_path):
 
 def test_two_workers_write_the_same_bytes_as_one(runs, whole, tmp_path):
     folder = planned(tmp_path / "two", runs)
-    assert carried_out(folder, 2).made == CHUNKS
+    assert carried_out(folder, 2) == (0, CHUNKS)
     merge_campaign(folder)
     assert content_of(folder.path) == content_of(whole.path)
     assert len(content_of(whole.path)) == 2 * CHUNKS + 2 * 5 + 3  # series, scene, map, still light and mean a run
-
-
-@pytest.mark.slow
-def test_processes_write_the_same_bytes_as_threads(runs, whole, tmp_path):
-    folder = planned(tmp_path / "two", runs)
-    with worker_processes(2) as executor:
-        assert run_campaign(folder, executor).made == CHUNKS
-    merge_campaign(folder)
-    assert content_of(folder.path) == content_of(whole.path)
 
 
 def test_statistics_are_of_all_runs_and_say_what_was_left_out(whole):
@@ -110,65 +100,31 @@ def test_the_index_names_every_chunk_with_its_hash(whole):
     assert (whole.path / file).stat().st_size == int(size)
 
 
-def test_what_is_there_is_kept_and_nothing_is_written_twice(copy):
+def test_what_is_not_what_was_written_is_made_anew(copy):
+    """Status compares keys and lengths, run and merge hashes; other damage: `test_run_series`."""
     folder, before = copy
-    times = {file: file.stat().st_mtime_ns for file in folder.path.rglob("*.nc")}
-    assert carried_out(folder) == CampaignProgress(kept=CHUNKS, made=0)
-    assert {file: file.stat().st_mtime_ns for file in folder.path.rglob("*.nc")} == times
-    assert content_of(folder.path) == before
-
-
-@pytest.mark.parametrize(
-    "harm", ["cut short", "one bit", "no marker", "marker of another", "old key", "left over"]
-)
-def test_what_is_not_what_was_written_is_made_anew(copy, harm):
-    folder, before = copy
-    path = chunk_path(folder.series("two").path, 1)
-    match harm:
-        case "cut short":
-            path.write_bytes(path.read_bytes()[:-1])
-        case "one bit":
-            content = bytearray(path.read_bytes())
-            content[len(content) // 2] ^= 1
+    path, other = (chunk_path(folder.series("two").path, number) for number in (1, 0))
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    for flipped, done, error in ((True, 3, SeriesError), (False, 2, Unfinished)):
+        if flipped:
             path.write_bytes(content)
-        case "no marker":
-            marker_path(path).unlink()
-        case "marker of another":  # whose file is there too: nothing is wrong with the two but their place
-            other = chunk_path(folder.series("two").path, 0)
+        else:  # those of another chunk: nothing is wrong with the two but their place
             shutil.copy(marker_path(other), marker_path(path))
             shutil.copy(other, path)
-        case "old key":
-            marker = json.loads(marker_path(path).read_text())
-            marker_path(path).write_text(json.dumps(marker | {"key": "0" * 64}))
-        case "left over":
-            marker_path(path).unlink()
-            path.with_name(f"{path.name}.{'0' * 32}.part").write_bytes(b"CDF")
-    seen = campaign_status(folder)[1].done
-    assert seen == (3 if harm == "one bit" else 2)  # status compares lengths, run and merge hashes
-    with pytest.raises(Unfinished if seen == 2 else SeriesError, match=r"missing"):
+        assert campaign_status(folder)[1].done == done
+        with pytest.raises(error, match=r"missing"):
+            merge_campaign(folder)
+        assert carried_out(folder) == (CHUNKS - 1, 1)
         merge_campaign(folder)
-    assert carried_out(folder).made == 1
-    merge_campaign(folder)
-    assert content_of(folder.path) == before
-
-
-def test_other_settings_are_another_campaign(copy, runs):
-    """Whose chunks are never made in place of finished ones; without these the folder is free."""
-    folder, before = copy
-    with pytest.raises(SeriesError, match="prepare sliding-minimum there, minimum now; choose another folder"):
-        planned(folder.path, runs, "minimum")
-    assert content_of(folder.path) | {"campaign.json": b""} == before | {"campaign.json": b""}
-    for name in ("one", "two"):
-        shutil.rmtree(folder.series(name).path / "chunks")
-    planned(folder.path, runs, "minimum")
-    assert [state.done for state in campaign_status(folder)] == [0, 0]
+        assert content_of(folder.path) == before
 
 
 def test_moved_runs_keep_what_was_done(copy, runs, tmp_path):
     folder, _ = copy
     moved = [shutil.copytree(run, tmp_path / run.name) for run in runs]
     planned(folder.path, moved)
-    assert carried_out(folder).kept == CHUNKS
+    assert carried_out(folder) == (CHUNKS, 0)
 
 
 def test_a_scene_for_each_run(runs, tmp_path):
@@ -281,7 +237,7 @@ def test_a_chunk_that_cannot_be_written_ends_the_call_and_costs_no_other(copy):
     with pytest.raises(DiskError, match="is full"):
         run_campaign(folder, None, OneFails(2))
     assert [state.done for state in campaign_status(folder)] == [2, 0]
-    assert carried_out(folder) == CampaignProgress(kept=2, made=CHUNKS - 2)
+    assert carried_out(folder) == (2, CHUNKS - 2)
     merge_campaign(folder)
     assert content_of(folder.path) == before
 
