@@ -19,24 +19,22 @@ sigma that comes of it, and were up to 2.2 of what vectors tell of themselves (A
 
 **How far it is to be believed.** Vectors follow the noise of the very blocks they are made of. Of N equal blocks
 under a Gaussian window a vector takes e = sum w n/sum w p, whose covariance with the block in its middle is twice
-its variance s^2; so where all detail is kept the products lack 4 s^2 of the whole error, and 5 s^2 after passes,
-s^2 of one correlation or, if that is less, of the vector after the last filter. What the flow does beyond the
-vectors makes windows uncertain too, as they hold few particles: a fifth of a measured m is not noise (`OF_FLOW`).
-And particle images of variance s_p^2 lean by less than in proportion, of a random displacement
-(1 + s^2/(2 s_p^2))^-1.5. Products are also random by themselves, S, which their scatter tells. So
-what is to be believed of a measurement m is what differs from what was known before, m', by more than both:
+its variance s^2; so where all detail is kept the products lack 4 s^2 of the whole error, and 5 s^2 after passes
+(`FOLLOWED`, f, lies between), s^2 of one correlation or, if that is less, of the vector after the last filter.
+Particle images of variance s_p^2 lean by less than in proportion, of a random displacement
+(1 + s^2/(2 s_p^2))^-1.5. With that given back to a measurement m, what vectors miss beside their random variance
+s_0^2 is
 
-    m' + q (m - m'),      q = c^4/(1 + c^4),      c = (m - m')^2/(s^4 + (5 S)^2),
+    x = max(m + f s^2 - s_0^2, 0).
 
-first of the mean over two windows around, with m' = 0, then of that within half a window. Of a variance of which
-nothing was measured, 1 - q of the first times 1 - q of the second, random sigma and the model of
-`piv.correlation.resolution` have the say. What is put back is no measurement: 1.5 s^2 (`BACK`) leave the model its
-say, and the whole error of a single vector is never less than with 3.5 s^2 (`FOLLOWED`). In windows of less than
-`LEAST_BLOCKS` a side both blocks of a pair have made the vector, and agree on nothing beyond it: there the
-model stays. Numbers were chosen by one set of `benchmarks.piv_sigma` and judged by the other.
+Products are random by themselves too, by a deviation S which their scatter tells, so x counts by the share
+x^4/(x^4 + (5 S)^4), and the model of `piv.correlation.resolution` by the rest. Of windows that were halved, what
+halving explains is known as well: detail is in that already, the noise that vectors follow is not, so x adds to
+it. A fifth of m is no part of that noise (`OF_FLOW`): what the flow does beyond the vectors makes windows
+uncertain too, as they hold few particles. In windows of less than `LEAST_BLOCKS` a side both blocks of a pair have
+made the vector, and agree on nothing beyond it: there nothing is measured (ADR 38, 81, 83).
 """
 
-from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,12 +47,10 @@ from piv.correlation.windows import WindowGrid, interpolation_matrix
 
 OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and, negative, to the other
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
-REACHES = 2.0, 0.5  # of a window: standard deviations of means over nodes
+POOLED = 2.0  # windows: standard deviation of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
-# Variances of noise that are put back: where the model counts, and at least
-BACK = 1.5
-FOLLOWED = 3.5
-OF_FLOW = 0.2  # of what is measured: adds to the variance of one correlation
+FOLLOWED = 4.5  # variances of noise that are given back
+OF_FLOW = 0.2  # of what is measured: adds to the variance of windows
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels
 
@@ -74,7 +70,7 @@ class Agreed(NamedTuple):
 
 def measure_agreement(
     blocks: Blocks, grid: WindowGrid, beyond_px: Floats, weight: Floats, window_px: int
-) -> list[Agreed]:
+) -> Agreed:
     """Measure the displacement beyond the vectors on which pairs of blocks around each node agree.
 
     Parameters
@@ -93,8 +89,8 @@ def measure_agreement(
 
     Returns
     -------
-    list of Agreed
-        Means over the neighbours, the widest first (`REACHES`).
+    Agreed
+        Means over the neighbours (`POOLED`).
     """
     nodes = (grid.y_px, grid.x_px)
     rows, columns = (
@@ -116,66 +112,48 @@ def measure_agreement(
     for of_component in map_parts(sums_of, range(2)):
         product, expected, square = product + of_component[0], expected + of_component[1], square + of_component[2]
     seen = weight > 0.0
-    means = []
-    for reach in REACHES:
-        steps = reach * window_px / grid.step_px
-        whole = np.maximum(_mean_over_nodes(np.where(seen, expected, 0.0), steps), 1e-30)
-        # The square of a Gaussian is one of half its variance.
-        scatter = _mean_over_nodes(np.where(seen, square, 0.0), steps / np.sqrt(2.0)) / max(
-            4.0 * np.pi * steps**2, 1.0
-        )
-        chance = np.where(seen, np.sqrt(scatter) / whole, np.inf)
-        means.append(Agreed(_mean_over_nodes(np.where(seen, product, 0.0), steps) / whole, chance))
-    return means
+    steps = POOLED * window_px / grid.step_px
+    whole = np.maximum(_mean_over_nodes(np.where(seen, expected, 0.0), steps), 1e-30)
+    # The square of a Gaussian is one of half its variance.
+    scatter = _mean_over_nodes(np.where(seen, square, 0.0), steps / np.sqrt(2.0)) / max(
+        4.0 * np.pi * steps**2, 1.0
+    )
+    chance = np.where(seen, np.sqrt(scatter) / whole, np.inf)
+    return Agreed(_mean_over_nodes(np.where(seen, product, 0.0), steps) / whole, chance)
 
 
-def resolution_of(measured: Sequence[Agreed], modelled_px: Floats, sigma_px: Floats, one_px: Floats) -> Floats:
+def resolution_of(
+    measured: Agreed,
+    modelled_px: Floats,
+    is_halved: NDArray[np.bool_],
+    sigma_px: Floats,
+    one_px: Floats,
+    spread_px2: float,
+) -> Floats:
     """Standard deviation (ny, nx) of a component beside its random sigma: measured as far as it can be.
 
     Parameters
     ----------
-    measured : sequence of Agreed
-        What blocks agree on, the widest mean first.
+    measured : Agreed
+        What blocks agree on.
     modelled_px : ndarray of float64, shape (ny, nx)
         What the model says of it.
+    is_halved : ndarray of bool, shape (ny, nx)
+        Windows that were halved.
     sigma_px, one_px : ndarray of float64, shape (ny, nx, 2)
         Random sigma of the vectors, and of one correlation; NaN where not known.
+    spread_px2 : float
+        Variance of a particle image.
     """
-    random, noise = _variances(sigma_px, one_px)
-    known, unknown = _whole_error(measured, noise, [BACK * np.minimum(random, noise)] * len(measured))
-    missed = np.maximum(known - (1.0 - unknown) * random, 0.0)
-    return np.asarray(np.sqrt(missed + unknown * np.square(modelled_px)))
-
-
-def least_resolution(measured: Sequence[Agreed], sigma_px: Floats, one_px: Floats, spread_px2: float) -> Floats:
-    """Least (ny, nx) that `resolution_of` is with all of the noise that vectors follow, new in every pair.
-
-    `spread_px2` is the variance of a particle image.
-    """
-    random, noise = _variances(sigma_px, one_px)
+    random, noise = (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in (sigma_px, one_px))
     saturation = 1.0 + 0.5 * noise / spread_px2
-    lean = FOLLOWED / (saturation * np.sqrt(saturation))
-    of_flow = (OF_FLOW * np.maximum(mean.square_px2, 0.0) for mean in measured)
-    lacking = [lean * np.maximum(np.minimum(random, noise) - part, 0.0) for part in of_flow]
-    return np.asarray(np.sqrt(np.maximum(_whole_error(measured, noise, lacking)[0] - random, 0.0)))
-
-
-def _variances(*sigmas_px: Floats) -> Iterator[Floats]:
-    """Variances (ny, nx) of a component, 1 where not known."""
-    return (np.nan_to_num(0.5 * np.einsum("ijk,ijk->ij", part, part), nan=1.0) for part in sigmas_px)
-
-
-def _whole_error(measured: Sequence[Agreed], noise: Floats, lacking: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Mean square (ny, nx) of the error as far as it is measured, and the share of which nothing is."""
-    known, unknown = np.zeros_like(noise), np.ones_like(noise)
-    for mean, back in zip(measured, lacking, strict=True):
-        apart = np.maximum(mean.square_px2 + back, 0.0) - known
-        clear = np.square(apart) / np.maximum(
-            np.square(noise) + np.square(CLEAR_OF_CHANCE * mean.chance_px2), 1e-30
-        )
-        share = 1.0 - 1.0 / (1.0 + np.square(np.square(clear)))
-        known, unknown = known + share * apart, unknown * (1.0 - share)
-    return known, unknown
+    of_noise = np.maximum(np.minimum(random, noise) - OF_FLOW * np.maximum(measured.square_px2, 0.0), 0.0)
+    followed = FOLLOWED / (saturation * np.sqrt(saturation)) * of_noise
+    beyond = np.maximum(measured.square_px2 + followed - random, 0.0)
+    clear = np.square(np.square(beyond))
+    share = clear / np.maximum(clear + np.square(np.square(CLEAR_OF_CHANCE * measured.chance_px2)), 1e-30)
+    left = np.where(is_halved, 1.0, 1.0 - share)
+    return np.asarray(np.sqrt(left * np.square(modelled_px) + share * beyond))
 
 
 def _opposite(values: Singles) -> Singles:

@@ -6,13 +6,14 @@ Each step of `judge_vectors` needs those before it:
    decides which vectors are measured at all;
 2. noise of the result: passes and the last filter change it (`response`, `denoise`). The error by the subpixel
    position of particle images is added afterwards, since no filter removes it;
-3. resolution, from the filtered vectors: the model (`resolution`) or what halved windows miss (`halving`), the
-   larger, since they see the same detail; in windows too small for 4. also waves that none of them shows
-   (`finer_waves`), which neither has seen;
-4. resolution as it is measured (`agreement`): it replaces 3. as far as it is significant beside noise and chance;
+3. resolution, from the filtered vectors: the model (`resolution`), and what halved windows miss (`halving`), the
+   mean of both squares, since they see the same detail; in windows too small for 4. also waves that none of them
+   shows (`finer_waves`), which neither has seen;
+4. resolution as it is measured (`agreement`): it replaces the model as far as it is significant, and adds to what
+   halving has shown, which knows nothing of noise that vectors follow;
 5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel;
 6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it;
-7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so the total grows.
+7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so random parts grow.
 
 `sigma_u_px` and `sigma_v_px` are the result of 2., `resolution_px` that of 3. to 7.; both together are the total.
 Of the resolution `steady_px` is the part that is the same in every pair of a steady flow.
@@ -23,7 +24,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from piv.correlation.agreement import LEAST_BLOCKS, least_resolution, measure_agreement, resolution_of
+from piv.correlation.agreement import LEAST_BLOCKS, measure_agreement, resolution_of
 from piv.correlation.correlate import peak_ratios
 from piv.correlation.cut_windows import cut_px
 from piv.correlation.denoise import Denoised, remove_noise
@@ -41,6 +42,7 @@ from piv.correlation.resolution import (
     steady_px,
     unevenness,
     with_few_pieces,
+    with_halving,
 )
 from piv.correlation.response import gain, levels_of, noise_growth, parts_of, smoothings_of, total_response
 from piv.correlation.sizes import Sizes, asymmetry_of_sizes, match_around, sums_of_sizes, variance_px2
@@ -93,14 +95,14 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         # 2. Noise of the result; no filter takes the sampling error off.
         before, (vectors, sigma, removed) = _remove_noise(course, sizes, good, noise, added)
         sigma, before = (np.hypot(part, sampling_error_px(spread_px2)) for part in (sigma, before))
-        # 3. Resolution by the model, and by what halving showed: the same detail, so the larger counts.
+        # 3. Resolution by the model, and by what halving showed: the same detail, so the mean of both counts.
         final = fill_gaps(vectors, good)[0]
         uneven = unevenness(particles, np.clip(central / np.maximum(asymmetry.light, 1e-30), 0.0, 1.0).mean(-1))
         modelled = _resolution_of_sizes(course, sizes, final, removed, uneven)
-        steady = steady_px(
-            modelled, missed_px, sizes.side_px == settings.windows_px[-1], settings.windows_px[-1] / grid.step_px
-        )
-        parts = np.stack((np.maximum(modelled.total_px, missed_px), *steady))
+        is_usual = sizes.side_px == settings.windows_px[-1]
+        steady = steady_px(modelled, missed_px, is_usual, settings.windows_px[-1] / grid.step_px)
+        is_halved = is_usual & settings.finds_windows
+        parts = np.stack((with_halving(modelled, removed, missed_px, is_halved), *steady))
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
             finer = _short_wave_error(course, good, noise, added)
@@ -112,8 +114,7 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         beyond = np.clip(final - fill_gaps(found.vectors_px - found.left_px, good)[0], -1.0, 1.0)
         weight = good * large * found.refined.gain
         measured = measure_agreement(blocks, grid, beyond, weight, settings.windows_px[-1])
-        parts = parts * resolution_of(measured, parts[0], sigma, noise) / np.maximum(parts[0], 1e-30)
-        parts[0] = np.maximum(parts[0], least_resolution(measured, sigma, noise, spread_px2))
+        parts[0] = resolution_of(measured, parts[0], is_halved, sigma, noise, spread_px2)
         # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
         parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of
@@ -127,8 +128,8 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         if settings.flow_beyond_mask:
             cut = cut * np.array(BEYOND_CUT)[:, None, None]
         parts = np.hypot(parts, cut)
-        # 7. All of these were estimated from the same few particles.
-        parts[0] = with_few_pieces(parts[0], sigma, particles)
+        # 7. Noise that was estimated from the same few particles.
+        parts[0] = with_few_pieces(parts[0], sigma, particles, is_usual)
     fill, near = fill_gaps(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED

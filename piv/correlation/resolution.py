@@ -1,8 +1,7 @@
 """Uncertainty of a vector by the size of its window, beside noise: a model from the vectors themselves.
 
-Where the frames tell what vectors miss (`piv.correlation.agreement`), that replaces 1. to 3.
-
-Four things, the first three as root sum of squares:
+Four things, the first three as root sum of squares. Windows that were halved (`piv.correlation.halving`) have a
+second estimate of 2. and 3.: the square is the mean of both, as the larger of two is too large by chance.
 
 1. **Taken off.** Detail that is no stronger than its noise goes with the noise (`piv.correlation.denoise`, which
    knows what it takes).
@@ -23,10 +22,10 @@ Four things, the first three as root sum of squares:
 4. **Moves otherwise.** Across a shear layer or a core narrower than a window, part of the light does not match at
    the displacement that was found. With the correlation C, and C_0 where all matches, that share is 1 - C/C_0, of
    which `LOST_SHARE` may be chance. How else it may move, the surroundings say: D is the range of the vectors in
-   3 x 3 windows, and of what windows showed that are not believed if they are several: a gap is a core that was
-   not followed, a single one is an outlier. The error is the share times D and a number (`OTHERWISE`, measured at
-   steps, in jets whose core of 15 to 62 px moves 6 to 12 px, and in turbulence: 0.3 to 0.6). It is another view of
-   what 2. and 3. see, so the larger counts.
+   3 x 3 windows, and of what windows showed that are not believed if they are several and move the same way: such
+   a gap is a core that was not followed, a single one is an outlier, and peaks of noise stand anywhere. The error
+   is the share times D and a number (`OTHERWISE`, measured at steps, in jets whose core of 15 to 62 px moves 6 to
+   12 px, and in turbulence: 0.3 to 0.6). It is another view of what 2. and 3. see, so the larger counts.
 
 The first two and the last are the same in every pair of a steady flow; the third changes with the particles.
 """
@@ -40,12 +39,14 @@ from numpy.typing import NDArray
 UNEVEN = 1.9
 TWICE_PX = 0.19
 THIN = 4.0  # pieces of the usual window where what lies beside an empty middle stands for it
-OTHERWISE = 0.45
+OTHERWISE = 0.47
 LOST_SHARE = 0.1
 NOISE_RANGE = 3.0  # range of nine normal deviates over their deviation
-FEW = 4.0  # over N^2: added to 1 where N pieces know their own spread
+FEW = 24.0  # over N^2: added to 1 in the variance where N pieces know their own spread
 ENOUGH_PIECES = 6.0  # pieces that do
-GAP = 3  # windows of 3 x 3
+# A core that was not followed: windows of 3 x 3, and mean resultant length of what they show beside the vectors
+GAP = 3
+SAME_WAY = 0.85
 LARGEST_PX = 1e6  # more than any displacement
 MATCHED = 0.75  # quantile
 STEADY = 1.5  # windows: deviation of the weights by which seeding is taken off
@@ -103,6 +104,24 @@ def resolution_model_px(vectors: Floats, taken_px: Floats, uneven: Floats, windo
     return Modelled(np.sqrt(taken_px**2 + displaced**2 + missing**2), displaced, missing)
 
 
+def with_halving(modelled: Modelled, taken_px: Floats, missed_px: Floats, is_halved: NDArray[np.bool_]) -> Floats:
+    """Resolution error (ny, nx) by the model and by what halved windows miss, which see the same detail.
+
+    Parameters
+    ----------
+    modelled : Modelled
+        What the model says.
+    taken_px : ndarray of float64, shape (ny, nx)
+        The part of it that the last filter took, which halving comes before.
+    missed_px : ndarray of float64, shape (ny, nx)
+        What halving has shown that windows miss.
+    is_halved : ndarray of bool, shape (ny, nx)
+        Windows that were halved.
+    """
+    squares = [np.square(part) for part in (modelled.total_px, taken_px, missed_px)]
+    return np.where(is_halved, np.sqrt(0.5 * sum(squares)), modelled.total_px)
+
+
 def steady_px(
     modelled: Modelled, missed_px: Floats, is_usual: NDArray[np.bool_], window_steps: float
 ) -> tuple[Floats, Floats]:
@@ -128,7 +147,7 @@ def steady_px(
     missed, seeding = (scipy.ndimage.gaussian_filter(part, STEADY * window_steps) for part in squares)
     share = np.clip(1.0 - seeding / np.maximum(missed, 1e-30), 0.0, 1.0)
     filtered = np.maximum(np.square(modelled.total_px) - np.square(modelled.seeding_px), 0.0)
-    halving = share * np.square(missed_px)
+    halving = 0.5 * share * np.square(missed_px)  # the mean of both, see `with_halving`
     return np.sqrt(np.maximum(filtered, halving)), np.sqrt(np.maximum(np.square(modelled.unseen_px), halving))
 
 
@@ -146,13 +165,16 @@ def unevenness(pieces: Floats, middle: Floats) -> Floats:
     return np.asarray(np.hypot(1.0 / pieces, thin * (1.0 - middle)))
 
 
-def with_few_pieces(resolution_px: Floats, sigma_px: Floats, pieces: Floats) -> Floats:
+def with_few_pieces(
+    resolution_px: Floats, sigma_px: Floats, pieces: Floats, is_usual: NDArray[np.bool_]
+) -> Floats:
     """Return the resolution error (ny, nx) that makes the total larger where N pieces are few.
 
-    By 1 + `FEW` (1/N^2 - 1/N_0^2), N_0 = `ENOUGH_PIECES`.
+    The random variance grows by 1 + `FEW` (1/N^2 - 1/N_0^2), N_0 = `ENOUGH_PIECES`.
 
     A deviation that two or three particles tell is itself hardly known, as that of a t distribution of few degrees
-    of freedom, whose standard deviation is larger (JCGM 101:2008, 6.4.9).
+    of freedom, whose standard deviation is larger (JCGM 101:2008, 6.4.9). Finer windows do not need it: they stand
+    where light does not match for the flow's sake, which is in their noise (ADR 83).
 
     Parameters
     ----------
@@ -162,12 +184,11 @@ def with_few_pieces(resolution_px: Floats, sigma_px: Floats, pieces: Floats) -> 
         Random sigma, which stays as it is.
     pieces : ndarray of float64, shape (ny, nx)
         Independent pieces in a window.
+    is_usual : ndarray of bool, shape (ny, nx)
+        Windows of usual size.
     """
-    random = np.square(sigma_px).mean(axis=-1)
-    few = np.maximum(pieces**-2.0 - ENOUGH_PIECES**-2.0, 0.0)
-    growth = 1.0 + FEW * few
-    total = np.square(resolution_px) + random
-    return np.asarray(np.sqrt(total * growth**2 - random))
+    few = np.where(is_usual, np.maximum(pieces**-2.0 - ENOUGH_PIECES**-2.0, 0.0), 0.0)
+    return np.asarray(np.sqrt(np.square(resolution_px) + FEW * few * np.square(sigma_px).mean(axis=-1)))
 
 
 def second_differences(vectors: Floats, apart: int) -> Floats:
@@ -222,6 +243,8 @@ def mismatch_px(
     share = 1.0 - match_share(correlation, good)
     gap = ~good & np.isfinite(seen_px).all(axis=-1)
     gap &= scipy.ndimage.convolve(gap.astype(int), np.ones((3, 3), int), mode="constant") >= GAP
+    if sigma_px is not None:  # peaks of noise are no other motion, though their vectors are not to be believed
+        gap &= _concentration(seen_px - vectors, gap) > SAME_WAY
     known, values = (good | gap)[..., None], np.where(good[..., None], vectors, seen_px)
     high, low = (
         scipy.ndimage.maximum_filter(np.where(known, sign * values, -LARGEST_PX), (3, 3, 1))
@@ -233,3 +256,13 @@ def mismatch_px(
     range_px = np.sqrt(squares.mean(axis=-1))
     unmatched: Floats = OTHERWISE * np.clip(share - LOST_SHARE, 0.0, 1.0) * range_px
     return unmatched
+
+
+def _concentration(values: Floats, here: NDArray[np.bool_]) -> Floats:
+    """Mean resultant length (ny, nx) of the directions of vectors (ny, nx, 2) in 3 x 3 nodes, of those `here`."""
+    length = np.maximum(np.linalg.norm(values, axis=-1, keepdims=True), 1e-9)
+    sums = scipy.ndimage.uniform_filter(
+        np.where(here[..., None], values / length, 0.0), (3, 3, 0), mode="constant"
+    )
+    count = scipy.ndimage.uniform_filter(here.astype(float), 3, mode="constant")
+    return np.asarray(np.linalg.norm(sums, axis=-1) / np.maximum(count, 0.1))

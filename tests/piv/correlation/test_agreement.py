@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piv.correlation.agreement import Agreed, least_resolution, measure_agreement, resolution_of
+from piv.correlation.agreement import Agreed, measure_agreement, resolution_of
 from piv.correlation.settings import PivSettings
 from piv.correlation.uncertainty import Blocks
 from piv.correlation.windows import window_grid
@@ -30,7 +30,7 @@ def test_blocks_say_what_is_missed_through_as_much_noise(told_px):
     moved = blocks_that_move_by(lambda u, v: (told_px + 0.1 * np.sin(2 * np.pi * v / 120), 0 * u), 0.1)
     beyond = np.zeros((*grid.shape, 2))
     beyond[..., 0] = told_px
-    found = measure_agreement(moved, grid, beyond, np.ones(grid.shape), 32)[-1]
+    found = measure_agreement(moved, grid, beyond, np.ones(grid.shape), 32)
     assert np.mean(found.square_px2) == pytest.approx(0.25 * 0.1**2, rel=0.2)  # of both components one is missed
 
 
@@ -40,7 +40,7 @@ def test_noise_agrees_on_nothing_and_says_by_how_much_chance_may():
     chance = [
         measure_agreement(
             blocks_that_move_by(lambda u, v: (0 * u, 0 * v), 0.3, seed), grid, nothing, np.ones(grid.shape), 32
-        )[-1]
+        )
         for seed in range(12)
     ]
     square = np.stack([one.square_px2 for one in chance])[:, 4:-4, 4:-4]
@@ -53,23 +53,27 @@ def test_vectors_that_do_not_count_and_frames_that_show_half():
     grid = window_grid(SHAPE, 32, 0.5)
     moved = blocks_that_move_by(lambda u, v: (np.where(u < 192, 0.1, 5.0), 0.1 + 0 * v), 0.0)
     good = np.broadcast_to(grid.x_px < 170, grid.shape)
-    found = measure_agreement(moved, grid, np.zeros((*grid.shape, 2)), good.astype(float), 32)[-1]
+    found = measure_agreement(moved, grid, np.zeros((*grid.shape, 2)), good.astype(float), 32)
     assert found.square_px2[good] == pytest.approx(0.1**2, rel=0.02)
     halved = moved._replace(lean=0.5 * moved.lean)
-    found = measure_agreement(halved, grid, np.zeros((*grid.shape, 2)), 0.5 * good, 32)[-1]
+    found = measure_agreement(halved, grid, np.zeros((*grid.shape, 2)), 0.5 * good, 32)
     assert found.square_px2[good] == pytest.approx(0.1**2, rel=0.02)
 
 
-def test_what_is_measured_well_replaces_the_model_and_what_is_not_leaves_it():
-    model, one = np.array([[0.3]]), np.full((1, 1, 2), 0.02)
-    sigma = np.full((1, 1, 2), 0.03)
-    sure = resolution_of([Agreed(np.array([[0.05**2]]), np.array([[1e-6]]))], model, sigma, 0.1 * one)
-    assert sure == pytest.approx(0.04, rel=0.02)  # 0.05 is all of the error, 0.03 of it random
+@pytest.mark.parametrize(("is_halved", "beside"), [(False, 0.0), (True, 0.3)])
+def test_what_is_measured_well_replaces_the_model_and_what_is_not_leaves_it(is_halved, beside):
+    model, halved = np.array([[0.3]]), np.array([[is_halved]])
+    sigma, one = (
+        np.full((1, 1, 2), 0.03),
+        np.full((1, 1, 2), 0.002),
+    )  # of noise that vectors follow there is little
+    sure = resolution_of(Agreed(np.array([[0.05**2]]), np.array([[1e-6]])), model, halved, sigma, one, 1.0)
+    assert sure == pytest.approx(np.hypot(beside, 0.04), rel=0.02)  # 0.05 is all of the error, 0.03 of it random
     for vague in (
         Agreed(np.array([[0.05**2]]), np.array([[1.0]])),
         Agreed(np.array([[-0.1]]), np.array([[1e-6]])),
     ):
-        assert resolution_of([vague], model, sigma, one) == pytest.approx(model, rel=1e-3)
+        assert resolution_of(vague, model, halved, sigma, one, 1.0) == pytest.approx(model, rel=1e-3)
 
 
 @pytest.mark.parametrize("amplitude_px", [0.2, 0.25])
@@ -92,18 +96,17 @@ def test_noise_that_vectors_follow_is_given_back(amplitude_px):
         vectors = np.stack([down @ part @ along.T for part in leans], -1) / total
         variance = noise**2 * np.stack([down**2 @ part @ along.T**2 for part in light], -1) / np.square(total)
         off = vectors - np.stack(wave(*np.meshgrid(grid.x_px, grid.y_px)), -1)
-        found = measure_agreement(blocks, grid, vectors, np.ones(grid.shape), 32)[0]
+        found = measure_agreement(blocks, grid, vectors, np.ones(grid.shape), 32)
         for parts, part in zip(
             (errors, products, variances), (np.square(off), found.square_px2, variance), strict=True
         ):
             parts.append(part[4:-4, 4:-4].mean())
     error, variance = np.mean(errors), np.mean(variances)
-    measured = [Agreed(np.full((1, 1), np.mean(products)), np.full((1, 1), 0.01 * variance))]
-    sigma = np.full((1, 1, 2), np.sqrt(variance))
-    assert measured[0].square_px2 < 0.6 * error
-    stated = np.square(least_resolution(measured, sigma, sigma, 1.0)) + variance
+    measured = Agreed(np.full((1, 1), np.mean(products)), np.full((1, 1), 0.01 * variance))
+    sigma, nothing = np.full((1, 1, 2), np.sqrt(variance)), np.zeros((1, 1))
+    assert measured.square_px2 < 0.6 * error
+    stated = np.square(resolution_of(measured, nothing, nothing > 0.0, sigma, sigma, 1.0)) + variance
     assert np.sqrt(error / stated) == pytest.approx(1.0, abs=0.15)
-    assert stated > np.square(resolution_of(measured, np.zeros((1, 1)), sigma, sigma)) + variance
 
 
 @pytest.mark.parametrize("overlap", [0.5, 0.75])

@@ -6,10 +6,13 @@ import pytest
 from piv.correlation.refine import window_weights
 from piv.correlation.resolution import (
     UNEVEN,
+    Modelled,
     Window,
+    mismatch_px,
     resolution_model_px,
     second_differences,
     with_few_pieces,
+    with_halving,
 )
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings
@@ -131,7 +134,30 @@ def test_waves_shorter_than_every_window_are_in_sigma(particle_pair, seed, told,
 
 
 def test_few_particles_know_their_own_spread_badly():
-    """The random part stays, the total of two pieces grows by 1 + 4 (1/4 - 1/36), and that of many not at all."""
-    pieces = np.array([[2.0, 6.0, 30.0]])
-    found = with_few_pieces(np.full((1, 3), 0.03), np.full((1, 3, 2), 0.04), pieces)
-    np.testing.assert_allclose(np.hypot(found, 0.04), 0.05 * np.array([[17.0 / 9.0, 1.0, 1.0]]), rtol=1e-12)
+    """The random variance of two pieces grows by 1 + 24 (1/4 - 1/36), of many or fine windows not at all."""
+    pieces, is_usual = np.array([[2.0, 6.0, 30.0, 2.0]]), np.array([[True, True, True, False]])
+    found = with_few_pieces(np.full((1, 4), 0.03), np.full((1, 4, 2), 0.04), pieces, is_usual)
+    grown = 0.03**2 + 0.04**2 * (16.0 / 3.0)
+    np.testing.assert_allclose(np.square(found), [[grown, 0.03**2, 0.03**2, 0.03**2]], rtol=1e-12)
+
+
+def test_a_model_and_halved_windows_see_the_same_detail():
+    modelled = Modelled(np.full((1, 3), 0.05), np.full((1, 3), 0.03), np.zeros((1, 3)))  # 0.04 of it taken off
+    found = with_halving(
+        modelled, np.full((1, 3), 0.04), np.array([[0.03, 0.0, 0.0]]), np.array([[True, True, False]])
+    )
+    np.testing.assert_allclose(found, [[0.05, np.hypot(0.04, 0.03 / np.sqrt(2.0)), 0.05]], rtol=1e-12)
+
+
+def test_a_gap_is_a_core_that_was_not_followed_only_where_its_windows_agree():
+    """Windows that show noise peak anywhere: in noisy uniform flows their range was taken for an error."""
+    vectors, correlation = np.zeros((9, 9, 2)), np.full((9, 9), 0.6)
+    good, sigma = np.ones((9, 9), bool), np.full((9, 9, 2), 0.1)
+    good[3:6, 3:6] = False
+    correlation[6, 4] = 0.3  # beside the gap, half of the light is lost
+    core, chance = vectors.copy(), vectors.copy()
+    core[~good] = 6.0, 0.0
+    chance[~good] = np.random.default_rng(3).uniform(-16.0, 16.0, (9, 2))
+    followed, noise = (mismatch_px(vectors, seen, correlation, good, sigma)[6, 4] for seen in (core, chance))
+    assert 0.5 < followed < 1.5
+    assert noise == 0.0
