@@ -127,7 +127,8 @@ def steady_px(
 ) -> tuple[Floats, Floats]:
     """Return the parts (ny, nx) of the resolution error that are the same in every pair of a steady flow.
 
-    That of filtered vectors, and that of vectors before the last filter.
+    That of filtered vectors, and that of vectors before the last filter. Halving counts whole in them: pairs tell
+    what it shows by chance from what they have in common (`piv.statistics.unresolved`).
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def steady_px(
     missed, seeding = (scipy.ndimage.gaussian_filter(part, STEADY * window_steps) for part in squares)
     share = np.clip(1.0 - seeding / np.maximum(missed, 1e-30), 0.0, 1.0)
     filtered = np.maximum(np.square(modelled.total_px) - np.square(modelled.seeding_px), 0.0)
-    halving = 0.5 * share * np.square(missed_px)  # the mean of both, see `with_halving`
+    halving = share * np.square(missed_px)
     return np.sqrt(np.maximum(filtered, halving)), np.sqrt(np.maximum(np.square(modelled.unseen_px), halving))
 
 
