@@ -180,7 +180,7 @@ class Inversion:
 
         def work(first: int, last: int) -> None:
             x, y = (np.arange(width) - place[CENTRE_U]) / place[FOCAL], np.empty(width)
-            spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
+            spans, hidden = np.empty((3 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
             scratch = DirectScratch(x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
             direct_rows(view, first, last, scratch, maps)
 

@@ -152,12 +152,29 @@ class DirectScratch(NamedTuple):
 
 
 @kernel
+def hide_within(
+    first: int, last: int, through: bool, place: Array, disc: Array, x: Array, y: float, hidden: Array
+) -> None:  # fmt: skip
+    """Note which nodes first..last-1 of a row, deep within the silhouette of a sphere, it hides.
+
+    If it reaches through the plane (`through`), it may stand behind a node X, which it hides only if X lies inside
+    it or its centre c on the eye's side of X:  |X - c|^2 < R^2  or  (c - X) . (E - X) > 0.
+    """
+    cx, cy, cz, z = disc[0] - place[EYE_X], disc[1] - place[EYE_Y], disc[2] - place[EYE_Z], place[EYE_Z]
+    outside = cx * cx + cy * cy + cz * cz - disc[3]
+    for i in range(first, last):
+        # X = E + z v with v = (x, -y, -1)
+        beyond = z * (x[i] * x[i] + y * y + 1.0) - (cx * x[i] - cy * y - cz)
+        inside = outside + z * (2.0 * beyond - z * (x[i] * x[i] + y * y + 1.0)) < 0.0
+        hidden[i] = BEHIND_GLASS if (beyond > 0.0) | inside | (not through) else hidden[i]
+
+
+@kernel
 def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
     """Note in ``hidden`` what hides the nodes of a row from the pinhole: FREE, BEHIND_GLASS, ...
 
     Only nodes in shadows are asked for, and where all bodies are round and of glass only those at the shadows'
-    rims: what is deeper in one is behind glass, whatever else stands there, unless the sphere reaches through the
-    plane and so may stand behind the node.
+    rims: of what is deeper in one the sphere itself tells.
     """
     place, tables, discs, lockstep, only_spheres, glass_only, _, _ = view
     x, y, spans, rays, trips, hidden, _ = scratch
@@ -174,12 +191,16 @@ def hide_nodes(row: int, view: DirectView, scratch: DirectScratch) -> None:
     for k in range(bodies):
         low, high = glass_span(x, y, True, place, discs, k)
         if low < high:
-            count = insert_span(joined, count, low, high)
             below = place[EYE_Z] - discs[k, 2]
-            crossed = world.is_crossed and reaches_through(world.spheres[k, CENTRE_Z], world.spheres[k, RADIUS])
-            if glass_only and below > 0.0 and below * below > discs[k, 3] and not crossed:
-                for i in range(low + WITHIN, high - WITHIN):
-                    hidden[i] = BEHIND_GLASS
+            first, last = low + WITHIN, high - WITHIN
+            if glass_only and below > 0.0 and below * below > discs[k, 3] and first < last:
+                sphere = world.spheres[k]
+                through = world.is_crossed and reaches_through(sphere[CENTRE_Z], sphere[RADIUS])
+                hide_within(first, last, through, place, discs[k], x, y[0], hidden)
+                count = insert_span(joined, count, low, first)  # its rims are left to be asked for
+                count = insert_span(joined, count, last, high)
+            else:
+                count = insert_span(joined, count, low, high)
     if not only_spheres:
         joined[0, 0], joined[0, 1] = 0, width
         count = 1
