@@ -9,9 +9,11 @@ another way through the balls, and an oblique view shows it elsewhere.  The ligh
 
 with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).
 
-All heights are allowed that leave at most MODEL_SHARE more squares than the best one: by so much traced light
-differs from that of the simulator's own optics at the true height.  The result is the middle of their range, its
-standard uncertainty that of an even distribution over it, and that of the jackknife over blocks of the frame.
+All heights are allowed whose sum of squares exceeds the least one by at most MODEL_SHARE of the light: by so much
+traced light differs from that of the simulator's own optics at the true height.  Only pixels count that some of
+these heights light: in a bed most are glass or shadow, and the square root of their noise is not small.
+The result is the middle of the range, its standard uncertainty that of an even distribution over it, and that of
+the jackknife over blocks of the frame.
 
 Light that passes a ball at a height h from its middle leaves it as it would at -h.  So a sheet through the middle
 of a layer looks alike below and above it, but for the oblique view of shadows, and the range is as wide as the
@@ -40,8 +42,9 @@ TRACED_PX = 800  # width of the frames for which the light is traced
 RAYS = 2  # along and down a pixel of those compared: edges of glass are sharper than pixels
 JACKKNIFE_BLOCKS = 4, 5  # of a frame, down and along
 SPOT_PX = 1.2  # standard deviation of a particle's image
-ELSEWHERE_SIGMAS = 2.0  # sigmas from which a sheet is said to lie elsewhere
-MODEL_SHARE = 0.006  # of the sum of squares: see above
+ELSEWHERE_SIGMAS = 3.0  # sigmas from which a sheet is said to lie elsewhere
+LEAST_LIGHT = 0.02  # of the undisturbed sheet's: below it at all heights, a pixel is dark
+MODEL_SHARE = 0.0008  # of the light: true heights leave 0.0001 to 0.0007 more
 
 
 @dataclass(frozen=True)
@@ -120,10 +123,12 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     blur = SPOT_PX / times / RAYS
     roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]
     root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
+    use &= np.max(roots, axis=0) > np.sqrt(LEAST_LIGHT)
     sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)
-    low, high = height_range(heights, sums.sum(axis=1))
+    margin = MODEL_SHARE * float(np.sum(root[use] ** 2))
+    low, high = height_range(heights, sums.sum(axis=1), margin)
     rest = sums.sum(axis=1)[:, None] - sums  # without each block
-    middles = [sum(height_range(heights, one)) / 2.0 for one in rest.T]
+    middles = [sum(height_range(heights, one, margin)) / 2.0 for one in rest.T]
     scatter = (len(middles) - 1) * float(np.nanvar(middles))  # jackknife
     sigma = float(np.sqrt(scatter + (high - low) ** 2 / 12.0))
     nearest = roots[int(np.argmin(sums.sum(axis=1)))]
@@ -166,14 +171,14 @@ def _misfit(seen: NDArray[np.float64], traced: NDArray[np.float64], use: NDArray
     return np.array([part.sum() for band in bands for part in np.array_split(band, JACKKNIFE_BLOCKS[1], axis=1)])
 
 
-def height_range(heights: NDArray[np.float64], sums: NDArray[np.float64]) -> tuple[float, float]:
-    """Lowest and highest of the heights allowed, NaN where an end is one of them.
+def height_range(heights: NDArray[np.float64], sums: NDArray[np.float64], margin: float) -> tuple[float, float]:
+    """Lowest and highest of the heights whose sum exceeds the least by at most a margin; NaN where at an end.
 
     Between heights the sum is interpolated by modified Akima splines, which hardly overshoot beside a steep side.
     """
     fine = np.linspace(heights[0], heights[-1], SPLINE_PLACES)
     between = scipy.interpolate.Akima1DInterpolator(heights, sums, method="makima")(fine)
-    there = np.flatnonzero(between <= (1.0 + MODEL_SHARE) * between.min())
+    there = np.flatnonzero(between <= between.min() + margin)
     if there[0] == 0 or there[-1] == len(fine) - 1:
         return float("nan"), float("nan")
     return float(fine[there[0]]), float(fine[there[-1]])
