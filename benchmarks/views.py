@@ -112,6 +112,8 @@ def cameras_of(said: argparse.Namespace, step_mm: Array) -> list[FlowCamera]:
     for place, degrees in enumerate(said.degrees):
         other = place if said.moved else 0
         scene = scene_at(said.name, degrees, said.size)
+        tilted = scene.camera.with_tilted_sensor(0.0, np.deg2rad(said.tilts[place]) if said.tilts else 0.0)
+        scene = scene.with_camera(tilted)
         if step_mm.any():
             ball, *others = scene.bodies
             scene = scene.with_bodies([ball.moved(translate_by(tuple(step_mm.tolist()))), *others])
@@ -224,6 +226,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Several cameras before one known flow.")
     parser.add_argument("name", choices=tuple(SCENES))
     parser.add_argument("--degrees", type=float, nargs="+", default=[0.0, 15.0])
+    parser.add_argument("--tilts", type=float, nargs="+", default=[], help="of the sensors about v, degrees")
     parser.add_argument("--pairs", type=int, default=40)
     parser.add_argument("--size", type=int, default=504)
     parser.add_argument("--seed", type=int, default=3)

@@ -12,6 +12,8 @@ The numbers of a camera follow by what its fit knows only together, G_k = cov(f_
 
 The first columns are the same draws in all cameras, so that their maps err together; the others are independent.
 This is a step of Gauss and Newton from the single fits, which differ by a few sigma at most where the test holds.
+Where the frames are far from linear, or a number is held that is wrong, the common glass does not fit them any
+more: residuals behind glass that grow by more than `MAX_GROWTH` refuse it.
 
 **Test.**  What the other cameras and the prior expect of camera k, and what its frames tell, differ by
 
@@ -37,9 +39,11 @@ from ground.plain_words import quantity
 from tracer.bodies import Body, Sphere
 from tracer.media import shifted
 from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import landings
 
 OWN = ("camera.", "target")  # beginnings of names that no two cameras share
 UNLIKE = 2.0  # residual in sigmas beyond which fits do not show one bench
+MAX_GROWTH = 1.5  # of the rms residual of corners behind glass
 SINGULAR = 1e-12
 Floats = NDArray[np.float64]
 
@@ -75,6 +79,8 @@ class JointFit:
         By how much the cameras differ in what they share, in sigmas (rms).
     without : tuple of float
         The same without each camera, where there are three or more.
+    growth : tuple of float
+        Rms residual of the corners of each camera behind glass by the glass of all cameras, over that by its fit.
     """
 
     fits: tuple[SceneFit, ...]
@@ -83,6 +89,7 @@ class JointFit:
     sigmas_alone: Floats
     residual_sigma: float
     without: tuple[float, ...] = ()
+    growth: tuple[float, ...] = ()
 
     @property
     def sentences(self) -> list[str]:
@@ -99,7 +106,14 @@ class JointFit:
     def warning(self) -> str:
         """Sentence about cameras that contradict each other; "" if they do not."""
         if not self.residual_sigma > UNLIKE:
-            return ""
+            worst = max(self.growth, default=1.0)
+            if worst <= MAX_GROWTH:
+                return ""
+            camera = self.growth.index(worst) + 1
+            return (
+                f"by the glass of all cameras residuals of camera {camera} behind glass are {worst:.1f} times as"
+                " large: a model is wrong, or too few corners show it; each keeps its own fit"
+            )
         said = f"the cameras differ by {self.residual_sigma:.1f} sigma (rms) in what they share: the target or the"
         said += " glass stood elsewhere for one of them, or a model is wrong; each keeps its own fit"
         better = [number for number, left in enumerate(self.without, start=1) if left < UNLIKE]
@@ -129,7 +143,9 @@ def join_fits(fits: Sequence[SceneFit]) -> JointFit:
     draws = root_of(np.asarray(np.linalg.inv(precision), np.float64))
     key = hashlib.sha256(np.ascontiguousarray(joint).tobytes()).hexdigest()[:16]
     moved = tuple(_move(fit, one, joint, draws, key) for fit, one in zip(fits, parts, strict=True))
-    return replace(found, fits=moved)
+    growth = tuple(_growth(fit, one) for fit, one in zip(fits, moved, strict=True))
+    found = replace(found, growth=growth)
+    return found if found.warning else replace(found, fits=moved)
 
 
 def _tell(fit: SceneFit, start: Floats, columns: Floats, rows: list[str], names: tuple[str, ...]) -> _Shared:
@@ -193,6 +209,17 @@ def _move(fit: SceneFit, part: _Shared, joint: Floats, draws: Floats, key: str) 
         history=(*fit.history, FitStep("glass and print joined with the other cameras")),
         joint=(key, draws.shape[1]),
     )
+
+
+def _growth(fit: SceneFit, moved: SceneFit) -> float:
+    """Rms residual of the corners behind glass in the moved scene over that of the fit."""
+    used = fit.corners.inlier & fit.corners.behind
+    before, after = (landings(one.scene, fit.corners.pixel[used]) for one in (fit, moved))
+    own = fit.corners.residual_px[used]
+    left = own + before.step_px(after)  # the corner moves against what a pixel shows
+    seen = np.isfinite(left).all(axis=1)
+    size = float(np.square(own[seen]).sum())
+    return float(np.sqrt(np.square(left[seen]).sum() / size)) if size > 0.0 else 1.0
 
 
 def _in_its_light(fit: SceneFit, scene: Scene) -> Scene:

@@ -14,12 +14,13 @@ from rich.table import Table
 from daq.atomic_write import write_text
 from daq.errors import RunUsageError
 from ground.terminal import console
+from piv.statistics.three_components import MAX_SIGMA_W_PX
 from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.report.table import Table as ReportTable
 from rtpiv.analysis.through_glass import percent
 from rtpiv.analysis.views.candidates import ViewQuestion, candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
-from rtpiv.analysis.views.two_cameras import MAX_SIGMA_W_PX, RUN_PAIRS, at_degrees, best_places
+from rtpiv.analysis.views.two_cameras import RUN_PAIRS, at_degrees, best_places
 from rtpiv.options.numbers import Positive
 from rtpiv.templates.files import scene_of, scene_text
 from rtpiv.verbs.paths import Named

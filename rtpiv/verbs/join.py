@@ -16,11 +16,12 @@ from daq.errors import RunUsageError
 from daq.runs.names import main_run
 from ground.terminal import console
 from piv.errors import PairError
+from piv.statistics.three_components import MAX_SIGMA_W_PX
 from rtpiv.analysis.fit_beside import SCENE_FILE
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.report.kept_page import PAGE
 from rtpiv.analysis.series.chunk import correction_of
-from rtpiv.analysis.series.joined_views import MAX_SIGMA_W_PX, JoinedViews, join_views
+from rtpiv.analysis.series.joined_views import JoinedViews, join_views
 from rtpiv.analysis.series.moving_glass import END_PAIRS, Moves, find_moves, follow_moves
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE, MEAN

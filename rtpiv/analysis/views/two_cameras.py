@@ -147,12 +147,10 @@ def two_cameras(first: Scene, second: Scene) -> TwoCameras:
     """Forecast for two scenes of one bench, whose balls have the same names."""
     known = {ball.name for ball in second.spheres}
     plane = _Plane.of(first, [ball.name for ball in first.spheres if ball.name in known])
-    views = [_View.of(scene, plane) for scene in (first, second)]
-    x, y = (
-        math.degrees(math.atan2(scene.camera.position_mm[0], scene.camera.position_mm[2]))
-        for scene in (first, second)
-    )
-    return _with_balls(_forecast(plane, *views, (x, y)), plane, *views)
+    one, two = (_View.of(scene, plane) for scene in (first, second))
+    places = [scene.camera.position_mm for scene in (first, second)]
+    left, right = (math.degrees(math.atan2(x, z)) for x, _, z in places)
+    return _with_balls(_forecast(plane, one, two, (left, right)), plane, one, two)
 
 
 def best_places(scene: Scene, degrees: Sequence[float] = DEGREES) -> list[TwoCameras]:

@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from correction.fit.joint_cameras import _combine, _residual, _tell
+from benchmarks.views import scene_at
+from correction.fit.joint_cameras import MAX_GROWTH, JointFit, _combine, _growth, _residual, _tell
+from tracer.bodies import translate_by
+from tracer.strategies.sensitivity import landings
 
 SHARED = ("ball.x", "ball.y", "ball.z", "glass BK7.n")
 SIGMAS = np.array([1.0, 1.0, 2.0, 1e-3])
@@ -81,3 +84,28 @@ def test_residual_is_one_and_rises_where_a_camera_sees_other_glass():
     moved, others = np.array([residual(0.2) for _ in range(10)]).T
     assert moved.min() > 2.0
     assert others.max() < 2.0
+
+
+def test_glass_that_does_not_fit_the_corners_of_a_camera_is_refused():
+    scene = scene_at("two", 0.0, 252)
+    moved = scene.with_bodies([body.moved(translate_by((0.03, 0.0, 0.0))) for body in scene.bodies])
+    pixel = np.stack(np.meshgrid(np.linspace(105.0, 145.0, 9), np.linspace(105.0, 145.0, 9)), axis=-1).reshape(
+        -1, 2
+    )
+    shown, fitted = landings(scene, pixel), pixel.copy()
+    for _ in range(4):  # where the moved balls show the same
+        fitted += landings(moved, fitted).step_px(shown)
+    noise = np.random.default_rng(1).normal(0.0, 0.02, pixel.shape)
+
+    def fit(of_scene, residual_px):
+        used = np.ones(len(pixel), bool)
+        corners = SimpleNamespace(inlier=used, behind=used, pixel=pixel, residual_px=residual_px)
+        return SimpleNamespace(scene=of_scene, corners=corners)
+
+    right, wrong = fit(scene, noise), fit(moved, pixel - fitted + noise)
+    assert _growth(right, right) == pytest.approx(1.0)
+    assert _growth(right, wrong) > MAX_GROWTH
+    assert _growth(wrong, right) == pytest.approx(1.0 / _growth(right, wrong), rel=0.05)
+    joint = JointFit((), (), np.ones(1), np.ones((2, 1)), 1.2, growth=(1.0, _growth(right, wrong)))
+    assert "residuals of camera 2" in joint.warning
+    assert JointFit((), (), np.ones(1), np.ones((2, 1)), 1.2, growth=(1.0, 1.1)).warning == ""

@@ -4,15 +4,19 @@ The frames are made here, with a projection of their own: a pinhole at distance 
 """
 
 import json
+import re
 
 import numpy as np
 import pytest
 import tifffile
 from scipy.io import netcdf_file
 
+from piv.files.vector_file import read_vectors
 from rtpiv.analysis.series.joined_views import JoinedViews
 from rtpiv.command_line.cli import DONE, USAGE, main
+from rtpiv.example_files import examples
 from rtpiv.verbs.join import _is_one_run
+from tests.daq.cameras.rigs import need_harvesters
 from tests.piv.conftest import draw
 from tracer.scene.scene_file import load_scene
 
@@ -23,31 +27,36 @@ PAIRS, DT_US = 3, 200.0
 WINDOWS = ("--first-window", "32", "--final-window", "32", "--workers", "1")
 
 
-def project(points_mm, degrees, sensor_px=SIDE):
-    """Pixels u, v of points: the pinhole stands at D (sin, 0, cos) and looks at the origin."""
+def project(points_mm, degrees, tilt_deg=0.0, sensor_px=SIDE):
+    """Pixels u, v of points: the pinhole stands at D (sin, 0, cos) and looks at the origin.
+
+    The sensor is turned about its v axis (Scheimpflug): u' = u cos - ahead sin, through f ahead.
+    """
     angle = np.deg2rad(degrees)
     x, y, z = points_mm.T
     across = x * np.cos(angle) - z * np.sin(angle)
     depth = DISTANCE_MM - (x * np.sin(angle) + z * np.cos(angle))
-    middle = 0.5 * (sensor_px - 1)
-    return middle + FOCAL_PX * across / depth, middle - FOCAL_PX * y / depth
+    middle, tilt = 0.5 * (sensor_px - 1), np.deg2rad(tilt_deg)
+    along = FOCAL_PX * np.cos(tilt) / (depth * np.cos(tilt) + across * np.sin(tilt))
+    u = along * across * np.cos(tilt) - (along * depth - FOCAL_PX) * np.sin(tilt)
+    return middle + u, middle - along * y
 
 
-def write_camera(folder, degrees, sheet=(0.0, 0.0, 0.0), offset_px=(0.0, 0.0)):
+def write_camera(folder, degrees, sheet=(0.0, 0.0, 0.0), offset_px=(0.0, 0.0), tilt_deg=0.0):
     """Frames of particles in a sheet of 0.5 mm at z = z_0 + s_x x + s_y y, and the scene of the camera."""
     (folder / "frames").mkdir(parents=True)
     angle, rng, noise = np.deg2rad(degrees), np.random.default_rng(1), np.random.default_rng(int(degrees) + 90)
     place = [float(DISTANCE_MM * np.sin(angle)), 0.0, float(DISTANCE_MM * np.cos(angle))]
     (folder / "scene.yaml").write_text(
         f"camera: {{focal_px: {FOCAL_PX}, sensor_px: [{SIDE}, {SIDE}], position_mm: {place},"
-        " look_at_mm: [0, 0, 0]}\nbodies: []\n"
+        f" look_at_mm: [0, 0, 0], sensor_tilt_deg: [0.0, {tilt_deg}]}}\nbodies: []\n"
     )
     for pair in range(PAIRS):
         points = rng.uniform(-1.0, 1.0, (2600, 3)) * (0.75 * SIDE * PX_MM, 0.75 * SIDE * PX_MM, 0.25)
         points[:, 2] += sheet[0] + points[:, :2] @ sheet[1:]
         light = rng.uniform(200.0, 600.0, len(points))
         for way, letter in ((-0.5, "a"), (0.5, "b")):
-            u, v = project(points + way * PX_MM * SPEED_PX, degrees)
+            u, v = project(points + way * PX_MM * SPEED_PX, degrees, tilt_deg)
             image = draw((SIDE, SIDE), u + offset_px[0], v + offset_px[1], 2.4, light)
             image += noise.normal(40.0, 3.0, image.shape)
             name = folder / "frames" / f"{pair:03d}_{letter}.tif"
@@ -114,8 +123,11 @@ def test_series_are_not_evaluated_in_another_way(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_two_cameras_give_three_components(tmp_path, capsys):
-    cameras = [write_camera(tmp_path / f"camera{k}", degrees) for k, degrees in enumerate((-20.0, 20.0))]
+@pytest.mark.parametrize("views", [((-20.0, 0.0), (20.0, 0.0)), ((0.0, 0.0), (41.0, 7.0))])
+def test_two_cameras_give_three_components(tmp_path, capsys, views):
+    cameras = [
+        write_camera(tmp_path / f"camera{k}", degrees, tilt_deg=tilt) for k, (degrees, tilt) in enumerate(views)
+    ]
     out = tmp_path / "joined"
     assert join(cameras, out, "--simultaneous") == DONE
     assert "residual of the views" in capsys.readouterr().out
@@ -130,9 +142,10 @@ def test_two_cameras_give_three_components(tmp_path, capsys):
         assert np.isfinite(off).mean() > 0.95
         assert np.sqrt(np.nanmean(off**2)) < (0.035, 0.035, 0.07)[k]
         assert 0.5 < np.nanmean(np.abs(off) < sigma) < 0.97
-    # w = (u_2 - u_1)/(a_1 - a_2) with slopes of +-tan 20: sigma_w = sigma_u sqrt(2)/(2 tan 20)
-    noise = np.nanmedian(fields["sigma_w"][inner]) / np.nanmedian(fields["sigma_u"][inner])
-    assert noise == pytest.approx(1.0 / np.tan(np.deg2rad(20.0)), rel=0.1)
+    if views[1][1] == 0.0:
+        # w = (u_2 - u_1)/(a_1 - a_2) with slopes of +-tan 20: sigma_w = sigma_u sqrt(2)/(2 tan 20)
+        noise = np.nanmedian(fields["sigma_w"][inner]) / np.nanmedian(fields["sigma_u"][inner])
+        assert noise == pytest.approx(1.0 / np.tan(np.deg2rad(20.0)), rel=0.1)
     mean, _ = read(out / "mean.nc")
     assert np.nanmean(mean["w"]) * to_px == pytest.approx(scale * SPEED_PX[2], abs=0.02)
     assert {"R_uw", "R_vw", "R_ww"} <= set(mean)
@@ -185,3 +198,46 @@ def test_one_camera_has_nothing_to_compare_its_frames_with(tmp_path, capsys, how
     )
     assert join([tmp_path], tmp_path / "joined", "--branches", how) == USAGE
     assert "of two cameras at the same time" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_flow_run_of_two_cameras_from_the_live_pages_to_its_report(tmp_path, monkeypatch, capsys):
+    """On the simulated bench, without a replacement: nothing is lost, and w is that of the flow."""
+    need_harvesters()
+    monkeypatch.chdir(tmp_path)
+    camera = "camera: {f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: 66.0, sensor_px: [336, 336]"
+    scene = (examples() / "two_spheres_500.yaml").read_text()
+    for name, more in (("two_spheres_500", ""), ("side", ", position_mm: [129.41, 0.0, 482.96]")):
+        (tmp_path / f"{name}.yaml").write_text(
+            re.sub(r"^camera: \{.*\}", f"{camera}{more}}}", scene, flags=re.MULTILINE)
+        )
+    bench = (examples() / "bench-flow.yaml").read_text()
+    own = re.search(r"^camera:\n((?:  .*\n)+)", bench, re.MULTILINE).group(1)
+    side = "  side:\n    kind: camera\n    scene: side.yaml\n" + re.sub("^", "  ", own, flags=re.MULTILINE)
+    shear = "{velocity_mm_s: [400, 800, 60], gradient_per_s: [[0, 2, 0], [0, 0, 0], [2, 0, 0]]}"
+    flow = f"  is_misaligned: false\n  flow: {{field: shear, parameters: {shear}, turbulence: null}}\n"
+    bench = bench.replace("devices:\n", f"devices:\n{side.rstrip()}\n").replace("  flow: {field: jet}\n", flow)
+    (tmp_path / "bench.yaml").write_text(bench)
+    plan = (examples() / "plan-flow.yaml").read_text().replace("background: {pairs: 50}\n", "")
+    (tmp_path / "plan.yaml").write_text(plan.replace("pairs: 1000", "pairs: 6") + "cameras: [side]\n")
+    words = ["acquire", "plan.yaml", "--bench", "bench.yaml", "--simulate", "--home", "--operator", "me", "--live"]
+    assert main(words) == DONE
+    said = capsys.readouterr().out
+    assert len(re.findall(r"^look at http.* \((?:camera|side)\)$", said, re.MULTILINE)) == 2
+    assert "0 are lost" in said
+    (run,) = (tmp_path / "runs").glob("*_plan-flow")
+    assert main(["check", str(run)]) == DONE
+    assert main(["report", str(run)]) == DONE
+    said = " ".join(capsys.readouterr().out.split())
+    assert "residual of the views" in said
+    assert "does not stand where" not in said
+    assert "lies" not in said  # the sheet is where the scenes have it
+    found = read_vectors((run / "report" / "mean.nc").read_bytes())
+    to_px = 0.5 * float(found.attributes["px_per_mm"])  # of m/s in 500 us
+    x = np.broadcast_to(found.x_mm, found.fields["w"][0].shape)
+    off = found.fields["w"][0] * to_px - (0.06 + 2e-3 * x) * to_px
+    assert np.isfinite(off).mean() > 0.8
+    assert np.sqrt(np.nanmean(off**2)) < 0.05
+    assert {"status_1", "status_2", "R_ww"} <= set(found.fields)
+    assert (run / "report" / "mean.html").is_file()
