@@ -281,7 +281,9 @@ def _marks_between(
     frame: NDArray[Any], patch: Patch, board: Chessboard
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
     """Squares (N, 2) of a patch with a mark in their middle, one shade (N,), how like triangles they are (N,)."""
+    assert board.dots is not None
     place, _holes = _with_holes(patch)
+    place |= _cut_by_frame(place, patch, frame.shape, 0.5 * board.dots.dot_mm / board.square_mm)
     cells = [(i, j) for i, j in place if all((i + a, j + b) in place for a, b in AROUND_SQUARE)]
     dots = np.array([[place[i + a, j + b] for a, b in AROUND_SQUARE] for i, j in cells]).reshape(-1, 4, 2)
     # Two opposite corners are of the row of the mark, and on its level, where rows are staggered.
@@ -291,7 +293,6 @@ def _marks_between(
     marked = share.max(axis=0) > PRESENT
     chosen = np.array(cells, np.int64).reshape(-1, 2)[marked]
     at = np.where((share[0] > share[1])[:, None], *middle)
-    assert board.dots is not None
     if board.dots.triangle is None:
         return chosen, np.zeros(len(chosen), bool), np.zeros(len(chosen))
     shape = [_triangularity(frame, at[near[n]], dots[near[n]], board.dots) for n in np.flatnonzero(marked)]
@@ -385,6 +386,24 @@ def _with_holes(patch: Patch) -> tuple[dict[Square, NDArray[np.float64]], list[S
     return place | holes, list(holes)
 
 
+def _cut_by_frame(
+    place: dict[Square, NDArray[np.float64]], patch: Patch, shape: tuple[int, ...], radius: float
+) -> dict[Square, NDArray[np.float64]]:
+    """Places [px] of the next dots beyond a patch that the border of the frame cuts; `radius` of a dot in squares.
+
+    They go on from two dots along a diagonal, which are on their level.
+    """
+    edge, found = radius * float(np.median(np.linalg.norm(patch.axes_px, axis=1))), {}
+    low, high = np.full(2, edge), np.array((shape[1], shape[0])) - 1.0 - edge
+    for (i, j), own in place.items():
+        for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            if (i - a, j - b) not in place and (i + a, j + b) in place:
+                beyond = 2.0 * own - place[i + a, j + b]
+                if (beyond < low).any() or (beyond > high).any():
+                    found[i - a, j - b] = beyond
+    return found
+
+
 def _share_of_row(
     frame: NDArray[Any], patch: Patch, dots: NDArray[np.float64], near: NDArray[np.intp], first: int
 ) -> NDArray[np.float64]:
@@ -398,7 +417,10 @@ def _share_of_row(
     at, along, across = 0.5 * (one + other), 0.25 * (other - one), 0.25 * (right - left)
     asked = np.stack((at, one, other, at - along, at + along, at - across, at + across), axis=1)
     value = _levels_at(frame, patch, asked)
-    dot, ground = value[:, 1:3].mean(axis=1), value[:, 3:5].mean(axis=1)
+    ends = asked[:, 1:3]  # of which the border of the frame may hide one
+    seen = ((ends >= 0.0) & (ends <= np.array(frame.shape[::-1]) - 1.0)).all(axis=2)
+    dot = np.average(value[:, 1:3], axis=1, weights=np.maximum(seen, 1e-6))
+    ground = value[:, 3:5].mean(axis=1)
     share = (value - ground[:, None]) / np.where(dot == ground, np.inf, dot - ground)[:, None]
     share = share - np.median(share[near], axis=1)
     is_mark = (share[:, 0] < BRIGHTEST) & (share[:, 5:].min(axis=1) < PRESENT)

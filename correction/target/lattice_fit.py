@@ -104,6 +104,11 @@ def measure_lattice(
     smooth = on_smooth_map(index, start, axes, _deep(board, index))
     foreign = int(np.count_nonzero(~smooth))
     if foreign > MOST_FOREIGN * len(index) or (discs_count and not holds_discs(index[smooth], board)):
+        if foreign == 0:
+            raise TargetNotFound(
+                f"one of the {board.origin_marks} stands at the border of the frame with too few marks around it;"
+                " move the camera, or give a prediction of the view"
+            )
         raise TargetNotFound(
             f"{foreign} of {len(index)} corners do not lie on one smooth view of the board, as if seen through"
             " glass; take it away, or mask it and give a prediction of the view"

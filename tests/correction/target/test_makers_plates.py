@@ -63,6 +63,29 @@ def test_a_plate_that_hangs_upside_down_is_named_by_its_triangle():
     assert len(find_board(one.image, one.board)) > 80  # no prediction is needed
 
 
+@pytest.mark.parametrize(
+    ("disc", "axis", "sign", "refused"),
+    [((-3, 1), 0, 1, ""), ((0, -3), 1, -1, ""), ((0, -3), 1, 1, "at the border of the frame")],
+)
+def test_a_mark_whose_outermost_dot_the_frame_cuts_shows_the_origin_or_is_named(disc, axis, sign, refused):
+    one = drawn(13)
+    corners = np.array(disc) + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    around = one.true.project(one.board.place_mm(corners))[:, axis]
+    last = (sign * around).min() * sign
+    border = round(0.55 * last + 0.45 * around.mean())
+    cut = np.moveaxis(one.image, 1 - axis, 0)[border if sign > 0 else 0 : None if sign > 0 else border]
+    image = np.ascontiguousarray(np.moveaxis(cut, 0, 1 - axis))
+    if refused:
+        with pytest.raises(TargetNotFound, match=refused):
+            find_board(image, one.board)
+        return
+    found = find_board(image, one.board)
+    off = found.position_px - one.true.project(found.board.place_mm(found.index))
+    off[:, axis] += border if sign > 0 else 0
+    assert len(found) > 80
+    assert np.abs(off).max() < 0.3
+
+
 def test_marks_that_are_not_in_view_and_dots_without_any_are_refused_with_the_cure():
     one = drawn(13)
     with pytest.raises(TargetNotFound, match="not the 2 interstitial marks that mark the origin"):
