@@ -19,13 +19,7 @@ place that is not rest, and the less so the more particles are lost, which leave
 Light far brighter than the particles matches at rest but for noise. What nearly all windows agree on beyond
 `BEYOND_SEAMS` deviations moves all the same.
 
-**Coarse light lags.** Flow moves light of any size alike. Between texture and particles vectors lie where their
-sum matches best: frames that are deformed by them and blurred, so that mostly the texture is left, match behind
-that place. So the median over windows of that lag, over the length of their vectors, is minus a part of the share
-that stands still: -0.2 to -0.6 behind textures of 1 to 2 times the light of the particles and a grain of 1.5 to
-5 px, -0.01 to 0.05 in flows before nothing. A warning says if nothing can be taken off (`LAGS`). Where a slow flow
-has none (`MOVES_WHOLE`), and nearly all of it moves, nothing else is asked; where some windows show the texture
-and others the particles, neither lags.
+A slow flow whose vectors are as long as they should be (`piv.correlation.static_light`) is asked nothing else.
 """
 
 from typing import NamedTuple
@@ -56,13 +50,9 @@ BEYOND_SEAMS = 6.0  # the same, median of windows that agree: no seams explain i
 SEAMS_APART = 3.0  # the same of images at rest, which is no such displacement unless they leave too much
 SEAMS = 0.2  # variance of seams over that of images, more by what is lost
 RESTS = 0.45  # displacement in deviations of an image, of windows at rest
-LAGS, MOVES_WHOLE = 0.1, 0.02  # of the length of vectors
-SLOWEST_PX, FEWEST_SLOW = 0.4, 12  # shortest vectors that tell a lag, and how many must
-CLEAR = 3.0  # chance deviations that a lag must exceed
+SLOWEST_PX = 0.4  # median vector that tells whether light stands still
 NEARLY_ALL = 0.9  # of the vectors
-COARSE, LEVEL_PX = 1.25, 17  # deviations of an image, side of the surroundings: at half the resolution
 LEAST_LOST = 0.15  # with less, windows move as a whole
-SEAMS_WIDER = 1.2  # deviation of images over that of their seams, where these are wider
 WIDER = 1.2  # variance of images over that of what is left of them behind a texture
 APART = (  # length in deviations of an image, and how much of it comes of images that overlap (measured)
     (3.61, 4.05, 4.58, 5.18, 6.44, 10.0),
@@ -120,55 +110,12 @@ def is_suspect(still: Floats) -> bool:
     return bool(np.isfinite(still).any() and np.nanmedian(still) > SUSPECT)
 
 
-def lag_of_coarse_light(pair: DeformedPair, known: Known, spread_px2: float, threads: int | None) -> float:
-    """Measure how far coarse light moves beyond vectors, over their length ("Coarse light lags"); NaN if unclear.
-
-    Parameters
-    ----------
-    pair : DeformedPair
-        Frames deformed by nearly these vectors.
-    known : Known
-        Vectors that are believed, and NaN.
-    spread_px2 : float
-        Variance of a particle image.
-    threads : int, optional
-        Threads to use.
-    """
-    import cv2
-
-    size = pair.a.shape[1] // 2, pair.a.shape[0] // 2
-    valid, *frames = (
-        cv2.resize(part[: 2 * size[1], : 2 * size[0]], size, interpolation=cv2.INTER_AREA)
-        for part in (pair.valid, pair.a, pair.b)
-    )
-    blur_px, level = COARSE * max(float(np.sqrt(spread_px2)), 0.8), (LEVEL_PX, LEVEL_PX)
-    coarse = [cv2.GaussianBlur(frame, (0, 0), blur_px) for frame in frames]
-    a, b = (np.asarray(frame - cv2.blur(frame, level), np.float32) for frame in coarse)
-    grid = known.grid
-    half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2)
-    beyond_px = 2.0 * refine(DeformedPair(a, b, np.asarray(valid), pair.floor), half, 0.0, threads).shift_px
-    length_px = np.linalg.norm(known.vectors_px, axis=-1)
-    measured = np.isfinite(beyond_px).all(axis=-1) & (length_px > SLOWEST_PX)
-    if measured.sum() < FEWEST_SLOW:
-        return float("nan")
-    along = (beyond_px[measured] * known.vectors_px[measured]).sum(axis=-1)
-    shares = along / np.square(length_px[measured])
-    lag = float(np.median(shares))
-    # Windows overlap by half, so a quarter of them is independent; 1.25 and 1.48 make deviations of medians.
-    chance = 1.25 * 1.48 * float(np.median(np.abs(shares - lag))) / np.sqrt(len(shares) / 4.0)
-    if lag < -LAGS and lag > -CLEAR * chance:
-        return float("nan")
-    moves = measured.sum() >= NEARLY_ALL * np.isfinite(length_px).sum()
-    return lag if moves or lag < -LAGS else float("nan")
-
-
 def without_common_light(
     pair: Pair,
     known: Known,
     min_valid: float,
     threads: int | None,
-    lag: float = float("nan"),
-    rests: float = 0.0,
+    is_static: bool | None,
 ) -> CommonLight | None:
     """Take off what both frames have in common; None if that is nothing, or is not known.
 
@@ -182,10 +129,8 @@ def without_common_light(
         Share of valid pixels that a window needs.
     threads : int, optional
         Threads to use.
-    lag : float
-        From `lag_of_coarse_light`; NaN if it is not known.
-    rests : float
-        From `piv.correlation.two_motions.share_at_rest`.
+    is_static : bool or None
+        Whether light stands still before the flow (`piv.correlation.static_light`); None if not known.
     """
     shape = (pair.a.shape[0], pair.a.shape[1])
     seen = np.isfinite(known.correlation) & np.isfinite(known.vectors_px).all(axis=-1)
@@ -195,7 +140,7 @@ def without_common_light(
     usual = float(np.median(known.correlation[seen]))
     usual_px = float(np.median(np.linalg.norm(known.vectors_px[seen], axis=-1)))
     is_slow = usual_px < FAR * np.sqrt(spread_px2)
-    if not rests and (usual > GOOD or (is_slow and abs(lag) < MOVES_WHOLE)):
+    if usual > GOOD or (is_slow and usual_px > SLOWEST_PX and is_static is False):
         return None
     try:
         rest = prepare_pair(
@@ -212,17 +157,10 @@ def without_common_light(
     asked = np.asarray(np.isfinite(found).all(axis=-1))
     clear = asked & (peak_ratios(left, grid, asked, min_valid, threads) > WEAK)
     length_px = np.linalg.norm(found, axis=-1)
-    slow = None
-    if rests:
-        # Along the flow seams are narrower than images.
-        seam_px = float(np.sqrt(_spreads_px2(rest)[1]))
-        slow = CommonLight(rest, rests, SEAMS_WIDER * seam_px)
-        if not clear.any() or np.median(length_px[clear]) < FAR * seam_px:
-            return slow
     if clear.any() and np.median(length_px[clear]) < FAR * np.sqrt(spread_px2):
         whole = correlate_windows(frames, grid, min_valid, threads)
         left_px2 = image_spread_px2(rest)
-        if lag < -LAGS or _is_behind_texture(whole, spread_px2, left_px2, without_noise):
+        if _is_behind_texture(whole, spread_px2, left_px2, without_noise):
             spread_px2 = WIDER * left_px2
     image_px = float(np.sqrt(spread_px2))
     at_rest = match_at_rest(frames, grid, 0.0, threads)
@@ -233,7 +171,7 @@ def without_common_light(
         if np.median(length_px[agreed]) > BEYOND_SEAMS * image_px and share > LEAST_COMMON:
             return CommonLight(rest, share, image_px)
     if is_slow and usual * without_noise > GOOD:
-        return slow
+        return None
     slowly = np.exp(-np.square(known.vectors_px).sum(axis=-1) / (4.0 * spread_px2))
     # Images that are long, or rings, match themselves farther away than Gaussian ones of their width.
     slowly = np.maximum(slowly, match_with_itself(pair.a, known.vectors_px))
@@ -245,12 +183,12 @@ def without_common_light(
     is_at_rest = np.linalg.norm(vectors, axis=-1) < image_px
     far = clear & (length_px > np.where(is_at_rest & left_over, SEAMS_APART, FAR) * image_px)
     if far.sum() < max(FEWEST, SHARE * asked.sum()):
-        return slow
+        return None
     stands = is_at_rest & (left_over | (match * without_noise < POOR))
     same = np.linalg.norm(vectors - found, axis=-1) < NEAR_PX
     common = np.where(stands | better, at_rest, np.where(same, at_rest - known.means(grid, slowly), 0.0))
     if not np.nanquantile(common[far], 0.25) > LEAST_COMMON:
-        return slow
+        return None
     return CommonLight(rest, float(np.nanmedian(at_rest[far])), image_px)
 
 

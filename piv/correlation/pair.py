@@ -37,12 +37,10 @@ from numpy.typing import NDArray
 from ground.blas import one_blas_thread
 from ground.memory import require_memory
 from piv.correlation.common_light import (
-    LAGS,
     SUSPECT,
     CommonLight,
     Known,
     is_suspect,
-    lag_of_coarse_light,
     match_with_itself,
     static_share,
     still_correlation,
@@ -57,17 +55,15 @@ from piv.correlation.passes import MultipassState, search
 from piv.correlation.planes import fill_gaps
 from piv.correlation.prepare import Pair, check_frames, prepare_pair
 from piv.correlation.settings import FOUND_WINDOWS, PivSettings
-from piv.correlation.static_light import share_of_hidden_flow, stretch_of, stretch_vectors, without_static_waves
+from piv.correlation.static_light import MOST_STRETCH, stretch_of, stretch_vectors, without_static_waves
 from piv.correlation.taken_out import (
     is_measured,
     without_chance_vectors,
     without_masked,
     without_seams,
     without_still,
-    without_vectors,
 )
-from piv.correlation.two_motions import share_at_rest
-from piv.correlation.vector_field import TRUSTED_SHARE, VectorField, VectorFlag
+from piv.correlation.vector_field import TRUSTED_SHARE, VectorField
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
 from piv.preprocessing.empty_areas import empty_areas
@@ -79,9 +75,6 @@ MIN_VALID_SHARE = 0.8  # of the windows
 # Share with a vector, and without, over that of the usual windows
 RETRY_GAIN = 1.5
 RETRY_LEFT = 0.6
-HIDDEN_SHARE = 0.3  # of blocks whose vector is far too short: still light hides the flow
-MUCH_AT_REST = 0.3  # of the light: vectors that are stretched are not trusted where damping leaves two motions
-MOVING_SHARE = 0.5  # of the windows, where what stands still was drawing vectors to zero
 # More vectors moved by more: another pass is worth its time
 PASS_CHANGE_PX = 0.25
 PASS_CHANGED_SHARE = 0.03
@@ -180,7 +173,9 @@ def _run_trials(
     shape = pair.a.shape
     field = _run_passes(pair, sides, settings, threads)
     del pair
-    for side in _larger(sides[0], min(shape)) if field.valid_share < MIN_VALID_SHARE else ():
+    # Behind still light larger windows show the same.
+    is_few = field.valid_share < MIN_VALID_SHARE and field.stretch <= MOST_STRETCH
+    for side in _larger(sides[0], min(shape)) if is_few else ():
         try:
             again = _run_passes(prepare_again(), [side, *sides], settings, threads)
         except PairError:
@@ -228,20 +223,20 @@ def _run_passes(
     if suspect is not None:  # large images are still at their own place when they have moved by their width
         still = still - np.maximum(match_with_itself(suspect.a, vectors[::2, ::2]), 0.0)
     still_share = static_share(still, vectors, spread_px2)
-    known, lag, at_rest = None, float("nan"), 0.0
+    stretch = None
     if suspect is not None:
-        known = Known(course.grid, course.found.vectors_px, course.found.correlation)
-        believed = known._replace(vectors_px=np.where(course.found.good[..., None], known.vectors_px, np.nan))
-        lag = lag_of_coarse_light(course.deformed, believed, spread_px2, threads)
-        at_rest = 0.0 if still_share < SUSPECT else share_at_rest(course.deformed, believed, spread_px2)
+        vectors_px = course.found.vectors_px
+        known = Known(course.grid, vectors_px, course.found.correlation)
+        # Where vectors are long, they tell whether light stands still.
+        if not still_share < SUSPECT:
+            believed = np.where(course.found.good[..., None], vectors_px, np.nan)
+            stretch = stretch_of(suspect, known._replace(vectors_px=believed))
         if not is_damped:
-            common = without_common_light(suspect, known, settings.min_valid, threads, lag)
+            is_static = None if stretch is None else stretch.is_static
+            common = without_common_light(suspect, known, settings.min_valid, threads, is_static)
         if common is not None:
             field = _run_passes(replace(common.pair, given=suspect.given), sides, settings, threads, common)
             return replace(field, nan_pixels=nan_pixels)
-        # -lag is part of the share that stands still, so a lower bound
-        if lag < -LAGS:
-            still_share = max(-lag, np.nan_to_num(still_share))
     every, added, missed_px = 1, 0, np.zeros(course.grid.shape)
     while course.found.refined is not None and added < settings.extra_passes and _needs_another_pass(course):
         course.run_pass(course.grid)
@@ -259,33 +254,14 @@ def _run_passes(
         still_share = common.share
     field = _decimate(replace(field, nan_pixels=nan_pixels, static_share=still_share), every)
     del course
-    # Where vectors are long, they tell whether light stands still.
-    asks = suspect is not None and not still_share < SUSPECT
-    stretch = stretch_of(suspect, field) if asks and suspect is not None else None
     if is_damped:
-        factor = 1.0 if stretch is None else stretch.factor
-        return replace(field, stretch=float("inf") if at_rest else factor)
-    is_static = stretch is not None and stretch.is_static
-    if suspect is None or known is None or not (at_rest or is_static):
+        return replace(field, stretch=float("inf") if stretch is None else stretch.factor)
+    if suspect is None or stretch is None or not stretch.is_static:
         return field
-    if not is_static and share_of_hidden_flow(suspect, field) < HIDDEN_SHARE:
-        return field  # flows beside a fluid at rest show two motions as well
-    if stretch is not None and is_static:
-        share = float(np.fmax(still_share, 1.0 - 1.0 / stretch.factor))
-        damped = without_static_waves(suspect, stretch)
-        again = None if damped is None else _run_passes(damped, sides, settings, threads, is_damped=True)
-        is_left = at_rest > MUCH_AT_REST and again is not None and np.isinf(again.stretch)
-        field = stretch_vectors(replace(field, stretch=stretch.factor, static_share=share), again)
-        if not at_rest or (field.valid.any() and not is_left):
-            return field
-    # Vectors that still light draws to zero, and nothing tells how far, mean nothing without it.
-    common = without_common_light(suspect, known, settings.min_valid, threads, lag, at_rest)
-    with suppress(PairError):  # nothing is left
-        if common is not None:
-            rest = replace(common.pair, given=suspect.given)
-            field = replace(_run_passes(rest, sides, settings, threads, common), nan_pixels=nan_pixels)
-    # A few vectors between places that mean nothing are there by chance.
-    return field if field.valid_share > MOVING_SHARE else without_vectors(field, field.asked, VectorFlag.REJECTED)
+    share = float(np.nanmax((still_share, stretch.share, 1.0 - 1.0 / stretch.factor)))
+    damped = without_static_waves(suspect, stretch)
+    again = None if damped is None else _run_passes(damped, sides, settings, threads, is_damped=True)
+    return stretch_vectors(replace(field, stretch=stretch.factor, static_share=share), again)
 
 
 def _decimate(field: VectorField, every: int) -> VectorField:

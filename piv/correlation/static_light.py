@@ -25,22 +25,22 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from piv.correlation.common_light import Known
 from piv.correlation.planes import fill_gaps
 from piv.correlation.prepare import Pair, prepare_pair
 from piv.correlation.taken_out import without_vectors
 from piv.correlation.vector_field import RESOLUTION_LENGTHS, VectorField, VectorFlag
+from piv.correlation.windows import WindowGrid
 from piv.errors import PairError
 
 Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Numbers = NDArray[np.int64]
 # Of the windows that are transformed
 SIDE_PX = 32
 STEP_PX = 16
 MOST_WINDOWS = 400
 MOST_ASKED = 1600  # whether they are whole, and move as one
 FEWEST_WINDOWS = 24
-LEAST_MOVED_PX = 0.08  # displacement that tells something
+LEAST_MOVED_PX, MOVING_SHARE = 0.15, 0.4  # vectors that are shorter are noise; of the windows, that are not
 # Wave numbers [1/px] that particle images hold, and width of their rings
 LOWEST = 0.3
 HIGHEST = 1.9
@@ -60,6 +60,7 @@ LEAST_LINES = 0.3  # of that which moves
 # Evidence: twice the logarithm of the likelihood over that of 1
 LEAST_STRETCH = 1.05
 LEAST_EVIDENCE = 12.0
+LEAST_STILL = 0.2  # of the power of waves; flows before nothing have 0.01 to 0.08, of long images up to 0.16
 # With more, some windows show the texture and others the flow
 MOST_STRETCH = 1.25
 MOST_ADDED_PX = 0.3
@@ -70,10 +71,11 @@ BLOCKS = 4
 BLOCK_SPREAD_PX = 0.3  # of the vectors in it, from their lowest to their highest tenth
 _LENGTHS, _ANGLES = np.geomspace(0.3, 5.0, 12)[:, None], np.arange(16) * (np.pi / 8)
 TRIALS_PX = np.stack((_LENGTHS * np.cos(_ANGLES), _LENGTHS * np.sin(_ANGLES)), axis=-1).reshape(-1, 2)
-# By which a displacement exceeds the vector; evidence for it
+# By which a displacement exceeds the vector; evidence for it; and share of the blocks
 LONGER = 1.8
 LONGER_PX = 0.15
 HIDDEN_EVIDENCE = 30.0
+HIDDEN_SHARE = 0.2
 LEAST_KEPT = 0.9  # of the valid vectors
 STRETCH_LEFT = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
 
@@ -89,42 +91,56 @@ class Waves(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Factor by which vectors are too short, the windows that show it, and whether light stands still in them."""
+    """Factor by which vectors are too short, share of the power that stands still, and the windows that show them.
+
+    `is_static` says whether light stands still before the flow.
+    """
 
     factor: float
-    waves: Waves
+    share: float
+    waves: Waves | None
     is_static: bool
 
 
-def stretch_of(pair: Pair, field: VectorField) -> Stretch | None:
+def stretch_of(pair: Pair, known: Known) -> Stretch | None:
     """Measure by how much vectors are too short for what moves; None if that is not known.
+
+    The factor is infinite where displacements far longer than vectors explain the frames far better.
 
     Parameters
     ----------
     pair : Pair
         Frames as they were levelled.
-    field : VectorField
-        What the pair shows as it is.
+    known : Known
+        What the pair shows as it is: vectors that are believed, and NaN.
     """
-    waves = _waves(pair, field)
-    if waves is None:
-        return None
-    has_lines = _has_lines(*_powers(waves, 1.0))
-    rings = _rings_of(waves, _parts_of(waves, _telling_waves(waves)))
+    waves = _waves(pair, known)
+    found = None if waves is None else _fit_stretch(waves)
+    is_short = found is not None and found.factor > MOST_STRETCH
+    if not is_short and _share_of_hidden_flow(pair, known) >= HIDDEN_SHARE:
+        return Stretch(float("inf"), 1.0, None, True)
+    return found
+
+
+def _fit_stretch(waves: Waves) -> Stretch:
+    """Find the stretch of most likelihood."""
+    asked, factor, is_short = _particle_waves(waves), 1.0, False
+    rings = _Rings(waves, asked)
     as_it_is = rings.power(1.0)[1]
-    # Most pairs end here: a small stretch already makes them less likely.
-    if rings.power(LEAST_STRETCH)[1] >= as_it_is:
-        return Stretch(1.0, waves, has_lines)
-    misfit = np.array([rings.power(stretch)[1] for stretch in STRETCHES])
-    place = int(np.clip(np.argmin(misfit), 1, len(misfit) - 2))
-    before, least, after = misfit[place - 1 : place + 2]
-    offset = 0.5 * (before - after) / max(before - 2.0 * least + after, 1e-12)
-    factor = float(STRETCHES[place] * (STRETCHES[1] / STRETCHES[0]) ** np.clip(offset, -1.0, 1.0))
-    is_short = factor > LEAST_STRETCH and as_it_is - least > LEAST_EVIDENCE
-    return Stretch(factor, waves, bool(is_short or has_lines))
+    # Most pairs have no more: a small stretch already makes them less likely.
+    if rings.power(LEAST_STRETCH)[1] < as_it_is:
+        misfit = np.array([rings.power(stretch)[1] for stretch in STRETCHES])
+        place = int(np.clip(np.argmin(misfit), 1, len(misfit) - 2))
+        before, least, after = misfit[place - 1 : place + 2]
+        offset = 0.5 * (before - after) / max(before - 2.0 * least + after, 1e-12)
+        factor = float(STRETCHES[place] * (STRETCHES[1] / STRETCHES[0]) ** np.clip(offset, -1.0, 1.0))
+        is_short = bool(factor > LEAST_STRETCH and as_it_is - least > LEAST_EVIDENCE)
+    moving, still = _powers(waves, factor)
+    share = float(still[asked].sum() / max((moving + still)[asked].sum(), 1e-30))
+    return Stretch(factor, share, waves, is_short or share > LEAST_STILL or _has_lines(moving, still))
 
 
-def share_of_hidden_flow(pair: Pair, field: VectorField) -> float:
+def _share_of_hidden_flow(pair: Pair, known: Known) -> float:
     """Share of blocks of a pair that a displacement far longer than its vectors explains far better."""
     found = []
     first = [
@@ -132,32 +148,27 @@ def share_of_hidden_flow(pair: Pair, field: VectorField) -> float:
     ]
     inside = np.arange(0, BLOCK_PX - SIDE_PX + 1, STEP_PX)
     windows = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
-    for row in first[0]:
-        for column in first[1]:
-            if pair.valid[row : row + BLOCK_PX, column : column + BLOCK_PX].min() == 0.0:
-                continue
-            within = (
-                (nodes > start) & (nodes < start + BLOCK_PX)
-                for nodes, start in ((field.y_px, row), (field.x_px, column))
-            )
-            at = np.ix_(*within)
-            vectors = np.stack((field.u_px[at], field.v_px[at]), axis=-1)[field.valid[at]]
-            vector = np.median(vectors, axis=0) if len(vectors) else np.full(2, np.nan)
-            spread_px = np.ptp(np.quantile(vectors, (0.1, 0.9), axis=0), axis=0).max() if len(vectors) else np.inf
-            # Beside a jet the fluid at rest has a far longer vector within the block as well.
-            if spread_px > BLOCK_SPREAD_PX + UNEVEN_SHARE * np.linalg.norm(vector):
-                found.append(False)
-                continue
-            waves = _transform(pair, windows + np.array((row, column)), np.zeros((len(windows), 2)))
-            parts = _parts_of(waves, _telling_waves(waves))
-            even, odd = parts.even.mean(axis=0), parts.cross.imag.mean(axis=0)
-            misfit = [
-                _Rings(u * parts.kx + v * parts.ky, even, odd, parts.ring, len(windows)).power(1.0)[1]
-                for u, v in np.array((vector, *TRIALS_PX), np.float32)
-            ]
-            best = int(np.argmin(misfit[1:]))
-            is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * np.linalg.norm(vector) + LONGER_PX
-            found.append(is_long and misfit[0] - misfit[1 + best] > HIDDEN_EVIDENCE)
+    for row, column in np.stack(np.meshgrid(*first, indexing="ij"), axis=-1).reshape(-1, 2):
+        if pair.valid[row : row + BLOCK_PX, column : column + BLOCK_PX].min() == 0.0:
+            continue
+        within = (
+            (nodes > start) & (nodes < start + BLOCK_PX)
+            for nodes, start in ((known.grid.y_px, row), (known.grid.x_px, column))
+        )
+        vectors = known.vectors_px[np.ix_(*within)].reshape(-1, 2)
+        vectors = vectors[np.isfinite(vectors).all(axis=-1)]
+        vector = np.median(vectors, axis=0) if len(vectors) else np.full(2, np.nan)
+        length_px = float(np.linalg.norm(vector))
+        spread_px = np.ptp(np.quantile(vectors, (0.1, 0.9), axis=0), axis=0).max() if len(vectors) else np.inf
+        # Beside a jet the fluid at rest has a far longer vector within the block as well.
+        if not spread_px <= BLOCK_SPREAD_PX + UNEVEN_SHARE * length_px:
+            found.append(False)
+            continue
+        waves = _transform(pair, windows + np.array((row, column)), np.zeros((len(windows), 2)))
+        misfit = _Rings(waves, _particle_waves(waves), np.array((vector, *TRIALS_PX))).power(1.0)[1]
+        best = int(np.argmin(misfit[1:]))
+        is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * length_px + LONGER_PX
+        found.append(bool(is_long and misfit[0] - misfit[1 + best] > HIDDEN_EVIDENCE))
     return float(np.mean(found)) if found else 0.0
 
 
@@ -165,6 +176,8 @@ def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
     """Damp the waves in which a texture stands still; None if nothing is left."""
     import cv2
 
+    if stretch.waves is None:
+        return None
     moving, still = _powers(stretch.waves, stretch.factor)
     gain = np.divide(moving, moving + still, out=np.ones_like(moving), where=moving + still > 0.0)
     gain = scipy.ndimage.gaussian_filter(gain, 0.5, mode="nearest")
@@ -211,30 +224,31 @@ def stretch_vectors(field: VectorField, damped: VectorField | None) -> VectorFie
     return without_vectors(field, field.valid & (added_px > MOST_ADDED_PX), VectorFlag.REJECTED)
 
 
-def _waves(pair: Pair, field: VectorField) -> Waves | None:
+def _waves(pair: Pair, known: Known) -> Waves | None:
     """Transform windows that hold light only, and one displacement; None if they are too few."""
-    good = field.valid
+    good = np.asarray(np.isfinite(known.vectors_px).all(axis=-1))
     if min(pair.a.shape) < 2 * SIDE_PX or not good.any():
         return None
     first = [np.arange(0, side - SIDE_PX + 1, STEP_PX) for side in pair.a.shape]
     places = np.stack(np.meshgrid(*first, indexing="ij"), axis=-1).reshape(-1, 2)
     places = places[:: -(-len(places) // MOST_ASKED)]
     middle = places + (SIDE_PX - 1) / 2
-    filled = fill_gaps(np.stack((field.u_px, field.v_px), axis=-1), good)[0]
+    filled = fill_gaps(known.vectors_px, good)[0]
     values = np.concatenate((filled, good[..., None].astype(np.float64)), axis=-1)
-    corners = np.stack([_between(field, values, middle + SIDE_PX / 3 * np.array(way)) for way in _CORNERS])
-    vectors, known = _between(field, values, middle)[:, :2], corners[..., 2].min(axis=0)
+    corners = np.stack([_between(known.grid, values, middle + SIDE_PX / 3 * np.array(way)) for way in _CORNERS])
+    vectors, measured = _between(known.grid, values, middle)[:, :2], corners[..., 2].min(axis=0)
     change_px = np.ptp(corners[..., :2], axis=0).max(axis=-1)
     even = change_px < np.minimum(UNEVEN_PX[0] + UNEVEN_SHARE * np.linalg.norm(vectors, axis=-1), UNEVEN_PX[1])
     whole = np.array(
         [pair.valid[row : row + SIDE_PX, column : column + SIDE_PX].min() > 0.0 for row, column in places]
     )
     moves = np.linalg.norm(vectors, axis=-1) > LEAST_MOVED_PX
-    usable = np.flatnonzero(even & whole & moves & (known > 0.5))
-    if len(usable) < FEWEST_WINDOWS:
+    usable = np.flatnonzero(even & whole & (measured > 0.5))
+    moving = usable[moves[usable]]
+    if len(moving) < max(FEWEST_WINDOWS, MOVING_SHARE * len(usable)):
         return None
-    usable = usable[:: -(-len(usable) // MOST_WINDOWS)]
-    return _transform(pair, places[usable], vectors[usable])
+    moving = moving[:: -(-len(moving) // MOST_WINDOWS)]
+    return _transform(pair, places[moving], vectors[moving])
 
 
 def _transform(pair: Pair, places: NDArray[np.int64], vectors_px: Floats) -> Waves:
@@ -258,9 +272,9 @@ def _transform(pair: Pair, places: NDArray[np.int64], vectors_px: Floats) -> Wav
 _CORNERS = (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)
 
 
-def _between(field: VectorField, values: Floats, places: NDArray[Any]) -> Floats:
-    """Values (ny, nx, c) at the vectors of a field, between them at places (n, 2), rows first [px]."""
-    nodes = field.y_px, field.x_px
+def _between(grid: WindowGrid, values: Floats, places: NDArray[Any]) -> Floats:
+    """Values (ny, nx, c) at the nodes of a grid, between them at places (n, 2), rows first [px]."""
+    nodes = grid.y_px, grid.x_px
     at = [np.interp(places[:, axis], each, np.arange(len(each))) for axis, each in enumerate(nodes)]
     return np.stack(
         [
@@ -272,63 +286,48 @@ def _between(field: VectorField, values: Floats, places: NDArray[Any]) -> Floats
 
 
 class _Rings:
-    """Waves by rings of their length, to which the power that moves is fitted.
+    """Waves (ky, kx) of windows by rings of their length, to which the power that moves is fitted.
 
-    Of `number` windows in which each wave moves by the same phase the means are given, else each is for itself.
+    Windows (n,) move by their own vectors; or their means by each of the vectors `all_px` (trials, 2).
     """
 
-    def __init__(self, phase: Floats32, even: Floats32, odd: Floats32, ring: Numbers, number: int = 1) -> None:
-        kept = np.abs(phase) < LARGEST_PHASE
-        self.phase, self.even, self.odd = phase[kept], even[kept], odd[kept]
-        self.ring, self.number = np.broadcast_to(ring, phase.shape)[kept], number
-        self.size = int(ring.max()) + 1
-        self.count = np.maximum(np.bincount(self.ring, minlength=self.size), 1)
+    def __init__(self, waves: Waves, asked: NDArray[np.bool_], all_px: Floats | None = None) -> None:
+        a, b, k = waves.a[:, asked], waves.b[:, asked], np.stack((waves.kx[asked], waves.ky[asked]))
+        self.cross, even = a * np.conj(b), np.float32(0.5) * np.square(np.abs(a - b))
+        odd, self.number = self.cross.imag, 1
+        self.phase = waves.vectors_px @ k
+        if all_px is not None:
+            even, odd, self.number = even.mean(axis=0), odd.mean(axis=0), len(even)
+            self.phase = (all_px.astype(np.float32) @ k)[:, None]
+        length = np.linalg.norm(k, axis=0)
+        self.ring = np.rint((length - length.min()) / RING).astype(np.int64)
+        self.members = (self.ring[:, None] == np.arange(self.ring.max() + 1)).astype(np.float64)
+        self.kept = np.abs(self.phase) < LARGEST_PHASE
+        self.even, self.odd = self.kept * even, self.kept * odd
+        self.count = np.maximum(self._total(self.kept), 1.0)
         self.mean = self._total(self.even) / self.count
         # An even part is the square of noise, distributed as its own mean.
-        self.even_variance = np.square(self.mean) / number + 1e-30
+        self.even_variance = np.square(self.mean) / self.number + 1e-30
         self.odd_variance = self._total(np.square(self.odd)) / self.count + 1e-30
 
     def _total(self, values: NDArray[Any]) -> Floats:
-        return np.bincount(self.ring, values, self.size).astype(np.float64)
+        """Sums over windows and rings."""
+        return np.asarray(values.sum(axis=-2) @ self.members, np.float64)
 
-    def power(self, stretch: float) -> tuple[Floats, float]:
+    def power(self, stretch: float) -> tuple[Floats, Floats]:
         """Fit the power of each ring that moves; also return minus twice the logarithm of the likelihood."""
         phase = np.float32(stretch) * self.phase
-        sine, rise = np.sin(phase), 1.0 - np.cos(phase)
+        sine, rise = self.kept * np.sin(phase), self.kept * (1.0 - np.cos(phase))
         rises = self._total(rise)
         fits = (self._total(rise * self.even) - rises * self.mean) / self.even_variance
         fits += self._total(sine * self.odd) / self.odd_variance
         weights = (self._total(np.square(rise)) - np.square(rises) / self.count) / self.even_variance
         weights = np.maximum(weights + self._total(np.square(sine)) / self.odd_variance, 1e-30)
         power = np.where(self.count * self.number > PLACES, np.maximum(fits, 0.0) / weights, 0.0)
-        return power, INDEPENDENT * float((power * power * weights - 2.0 * power * fits).sum())
+        return power, INDEPENDENT * (power * power * weights - 2.0 * power * fits).sum(axis=-1)
 
 
-class _Parts(NamedTuple):
-    """Even and odd parts and the cross spectrum (n, waves) of windows, wave numbers and rings (waves,)."""
-
-    even: Floats32
-    cross: NDArray[np.complex64]
-    kx: Floats32
-    ky: Floats32
-    ring: Numbers
-
-
-def _parts_of(waves: Waves, asked: NDArray[np.bool_]) -> _Parts:
-    """Parts of some waves (ky, kx)."""
-    a, b, kx, ky = waves.a[:, asked], waves.b[:, asked], waves.kx[asked], waves.ky[asked]
-    length = np.hypot(kx, ky)
-    ring = np.rint((length - length.min()) / RING).astype(np.int64)
-    return _Parts(np.float32(0.5) * np.square(np.abs(a - b)), a * np.conj(b), kx, ky, ring)
-
-
-def _rings_of(waves: Waves, parts: _Parts) -> _Rings:
-    """Rings of windows that move by their vectors."""
-    u, v = (waves.vectors_px[:, axis, None] for axis in range(2))
-    return _Rings(u * parts.kx + v * parts.ky, parts.even, parts.cross.imag, parts.ring)
-
-
-def _telling_waves(waves: Waves) -> NDArray[np.bool_]:
+def _particle_waves(waves: Waves) -> NDArray[np.bool_]:
     """Return which waves (ky, kx) show the stretch: those that particle images hold, and no sensor alone."""
     length, least = np.hypot(waves.ky, waves.kx), 1.5 * 2.0 * np.pi / SIDE_PX
     asked = (length > LOWEST) & (length < HIGHEST) & (np.abs(waves.ky) > least) & (waves.kx > least)
@@ -337,13 +336,10 @@ def _telling_waves(waves: Waves) -> NDArray[np.bool_]:
 
 def _powers(waves: Waves, stretch: float) -> tuple[Floats, Floats]:
     """Power (ky, kx) of each wave that moves, and that stands still."""
-    parts = _parts_of(waves, np.ones(waves.ky.shape, bool))
-    moving = _rings_of(waves, parts).power(stretch)[0][parts.ring]
-    u, v = (waves.vectors_px[:, axis, None] for axis in range(2))
-    phase = u * parts.kx + v * parts.ky
-    counts = np.abs(phase) < LARGEST_PHASE
-    left = np.where(counts, parts.cross.real - moving * np.cos(stretch * phase), 0.0)
-    still = np.maximum(left.sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 0.0)
+    rings = _Rings(waves, np.ones(waves.ky.shape, bool))
+    moving = rings.power(stretch)[0][rings.ring]
+    left = np.where(rings.kept, rings.cross.real - moving * np.cos(stretch * rings.phase), 0.0)
+    still = np.maximum(left.sum(axis=0) / np.maximum(rings.kept.sum(axis=0), 1), 0.0)
     return moving.reshape(waves.ky.shape), still.reshape(waves.ky.shape)
 
 
