@@ -41,9 +41,7 @@ from numpy.typing import NDArray
 from ground.rows import map_parts
 
 STILL_CELL_PX = 4
-STILL_LEVEL_PX = (
-    11  # side of the surroundings: larger than a particle image, so that a wall's edge does not reach far
-)
+STILL_LEVEL_PX = 11  # side of the surroundings: larger than particle images, so that edges do not reach far
 BLUR_CELLS = 1.0  # one cell holds too few particles
 MOVES, LEAST_MOVING = 0.5, 0.1  # r below which light moves; share of the cells that must, for a usual brightness
 SEEN = 0.05  # of the median of E: cells with less show nothing
@@ -194,11 +192,12 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         np.minimum(np.arange(side) // STILL_CELL_PX, count - 1)
         for side, count in zip(valid.shape, found.shape, strict=True)
     )
-    parts: list[Callable[[], NDArray[np.bool_]]] = [partial(_find_ruled_lines, darkest, valid)]
-    if quick:
-        ground = float(np.median(cells.floor[moves])) * counts / count
-        parts.append(partial(_find_writing, plateaus, valid, ground, moves[:, columns][rows]))
     still = found[:, columns][rows]
+    parts: list[Callable[[], NDArray[np.bool_]]] = [partial(_find_ruled_lines, darkest, valid)]
+    if quick or still.any():  # in a slow flow clumps stand still as well, but no letters are found beside them
+        ground = float(np.median(cells.floor[moves])) * counts / count
+        seen_at = valid, valid if quick else valid & still
+        parts.append(partial(_find_writing, plateaus, seen_at, ground, moves[:, columns][rows]))
     for part in map_parts(lambda find: find(), parts):
         still |= part
     return still if still.any() else None
@@ -340,16 +339,19 @@ def _still(
 
 
 def _find_writing(
-    plateaus: tuple[NDArray[Any], ...], valid: NDArray[np.bool_], ground: float, moves: NDArray[np.bool_]
+    plateaus: tuple[NDArray[Any], ...], seen_at: Two, ground: float, moves: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`."""
+    """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`.
+
+    `seen_at`: valid pixels, and those of which each line of writing has some.
+    """
     import cv2
 
-    both, either, uneven = plateaus
+    (both, either, uneven), (valid, known) = plateaus, seen_at
     # Digits that change seem to move; but they are flat, and particles are not, or they lie in a few areas.
     particles = float(np.quantile(_brightest_of_areas(uneven, moves[::2, ::2]), USUAL_AREA))
     least = ground + PLATEAU * (particles - ground)
-    core = (both > least) & valid
+    core = (both > least) & known
     if not core.any():
         return core
     core &= either - both < EQUAL * (either - ground)  # clumps that drift by less than their size are not
