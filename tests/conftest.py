@@ -47,7 +47,7 @@ def pytest_xdist_auto_num_workers() -> int:
 LONG = (
     "test_correction_map.py", "tracer/test_walls.py", "test_bed_sheets.py", "test_external_light.py",
     "fit/test_plates.py", "cameras/test_contract.py", "live/test_page.py",
-    "test_held.py", "test_culprits.py", "test_linear_change.py", "fit/test_rendered.py", "test_ended_programs.py",
+    "test_culprits.py", "fit/test_rendered.py", "test_ended_programs.py",
     "test_find_sheet.py", "test_laser_ends.py", "test_laser_trials.py", "test_environment.py",
     "test_names_of_files.py", "test_board_search.py", "test_report.py", "test_any_byte.py",
     "test_stop_signals.py", "test_run_series.py", "test_person_stops.py", "test_harvesters.py",

@@ -109,6 +109,7 @@ def test_random_balls_among_random_rods(seed: int, monkeypatch: pytest.MonkeyPat
         check(Scene(camera, (*balls, *rods)), monkeypatch)
 
 
+@pytest.mark.slow  # compiles ten seconds of kernels that no command calls
 def test_maps_stored_as_float32_and_threads_have_the_same_fates() -> None:
     scene = Scene(VIEW, STAND)
     double, single = build_ray_map(scene), build_ray_map(scene, single=True)

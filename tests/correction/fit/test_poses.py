@@ -164,7 +164,7 @@ def test_frames_that_say_nothing_are_left_out_with_the_reason():
     assert sum(name.startswith("target pose") for name in work.unknowns.names) == 12
 
 
-@pytest.mark.slow  # three fits; what is left open by other frames is held by test_weakness_of_many.py
+@pytest.mark.slow  # three fits; what is left open by other frames is held by test_messages.py
 def test_parallel_boards_leave_numbers_open_and_tilted_ones_cure_that():
     known = PRIORS.model_copy(update={"camera": PRIORS.camera.model_copy(update={"focal_px": 1.0, "k1": 5e-3})})
     parallel = ((-30.0, 20.0, -60.0), (0.0, 0.0, 0.0)), ((40.0, -20.0, -90.0), (0.0, 0.0, 0.1))
