@@ -87,6 +87,5 @@ def _say(found: list[Trial]) -> None:
     words = {True: "ok ", False: "BAD", None: "?  "}
     for each in found:
         console().print(f"  {each.what:<10} {words[each.is_right]}  {each.said}", soft_wrap=True, highlight=False)
-    wrong = [each.what for each in found if each.is_right is False]
-    if wrong:
+    if wrong := [each.what for each in found if each.is_right is False]:
         raise CameraError(f"the camera's {' and '.join(wrong)} is not as the bench file sets it up; see above")

@@ -2,13 +2,14 @@
 
 import re
 import struct
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
+from sim.emulators.protocol_sim import put_up
 from sim.mechanics.clock import VirtualClock
 from stages.controller import Channel
 from stages.drivers.apt_questions import FAMILIES
@@ -312,10 +313,9 @@ class Strangers(Emulator):
 
 def test_the_driver_reads_what_strangers_let_a_box_say():
     clock = VirtualClock()
-    LINES["strangers"] = Line(Strangers({}, clock), clock)
     box = AptController("box", {"1": Channel("1", 400.0)}, clock)
-    try:
-        identity = box.connect("sim://strangers")
+    with put_up(Line(Strangers({}, clock), clock)) as url, closing(box):
+        identity = box.connect(url)
         assert identity == "Thorlabs KDC101 serial 67305985 firmware 163.162.161"
         assert box.position_mm("1") == -50.0
         how = box._homing_settings("1")
@@ -324,9 +324,6 @@ def test_the_driver_reads_what_strangers_let_a_box_say():
         assert box._speeds("1") == (0xCCCCCD, 0x35B0)
         assert not box.moving("1")
         assert not box.has_reference("1")  # it is homed, and has no mark of ours
-    finally:
-        box.close()
-        LINES.pop("strangers")
 
 
 def test_automatic_messages_are_switched_off(bench, monkeypatch):

@@ -7,7 +7,7 @@ import serial
 
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
+from sim.emulators.protocol_sim import LINES, put_up
 from sim.emulators.pty import PtyPort
 from sim.mechanics.clock import ScaledClock, VirtualClock
 from sim.stages import SimulatedStages
@@ -50,7 +50,7 @@ def driver_of(sort_of_box, clock=None):
 def box(request):
     """Put a box of any sort_of_box on a line in memory; the line."""
 
-    def put_up(sort_of_box, baud=None):
+    def put(sort_of_box, baud=None):
         clock, table = VirtualClock(), stages_table(sort_of_box)
         world = SimulatedStages(table, clock, screws(table))
         table = request.getfixturevalue("stack").enter_context(world.in_process())
@@ -59,7 +59,7 @@ def box(request):
         line.baud = baud
         return url, line, clock
 
-    return put_up
+    return put
 
 
 @pytest.fixture
@@ -71,18 +71,15 @@ def stack():
 @pytest.fixture
 def mute():
     clock = VirtualClock()
-    LINES["mute"] = Line(Mute({}, clock), clock)
-    yield "sim://mute", clock
-    LINES.pop("mute")
+    with put_up(Line(Mute({}, clock), clock)) as url:
+        yield url, clock
 
 
 @pytest.mark.parametrize("sort_of_box", DRIVERS)
 def test_silence(mute, sort_of_box):
     url, clock = mute
     rate = USUAL[sort_of_box]
-    words = (
-        rf"rail on sim://mute at {rate} baud says nothing; is it switched on, .* rtpiv doctor --probe sim://mute"
-    )
+    words = rf"rail on {url} at {rate} baud says nothing; is it switched on, .* rtpiv doctor --probe {url}"
     with pytest.raises(NoReply, match=words):
         driver_of(sort_of_box, clock).connect(url)
 
@@ -203,9 +200,11 @@ def test_a_line_with_echo(sort_of_box, answer):
     clock = VirtualClock()
     line = Line(Echo({}, clock), clock)
     line.emulator.answer = answer
-    LINES["echo"] = line
-    with pytest.raises(NoReply, match="gives back what it is sent; switch the echo") as caught:
-        driver_of(sort_of_box, clock).connect("sim://echo")
+    with (
+        put_up(line) as url,
+        pytest.raises(NoReply, match="gives back what it is sent; switch the") as caught,
+    ):
+        driver_of(sort_of_box, clock).connect(url)
     assert "swapped" not in str(caught.value)
 
 
@@ -224,9 +223,9 @@ class OldGrbl(Emulator):
 
 def test_an_old_grbl_is_told_which_one_is_needed():
     clock = VirtualClock()
-    LINES["old"] = Line(OldGrbl({}, clock), clock)
-    with pytest.raises(NoReply, match=r"has Grbl 0\.9 or older, and Grbl 1\.1 is needed") as caught:
-        driver_of("grbl", clock).connect("sim://old")
+    words = r"has Grbl 0\.9 or older, and Grbl 1\.1 is needed"
+    with put_up(Line(OldGrbl({}, clock), clock)) as url, pytest.raises(NoReply, match=words) as caught:
+        driver_of("grbl", clock).connect(url)
     assert "swapped" not in str(caught.value)
 
 
@@ -239,9 +238,9 @@ class BabblingGrbl(Emulator):
 
 def test_the_right_driver_is_not_called_the_wrong_one():
     clock = VirtualClock()
-    LINES["cut"] = Line(BabblingGrbl({}, clock), clock)
-    with pytest.raises(NoReply, match="none that is whole; is the cable good") as caught:
-        driver_of("grbl", clock).connect("sim://cut")
+    words = "none that is whole; is the cable good"
+    with put_up(Line(BabblingGrbl({}, clock), clock)) as url, pytest.raises(NoReply, match=words) as caught:
+        driver_of("grbl", clock).connect(url)
     assert "swapped" not in str(caught.value)
 
 

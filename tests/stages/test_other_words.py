@@ -12,7 +12,7 @@ import pytest
 
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
+from sim.emulators.protocol_sim import put_up
 from sim.mechanics.clock import VirtualClock
 from stages.errors import ProtocolViolation
 from stages.protocols import grbl
@@ -230,10 +230,9 @@ BOXES = {
 def test_a_driver_understands_a_box_that_is_none_of_ours(spoken, made):
     clock = VirtualClock()
     box = made(clock)
-    LINES["stranger"] = Line(box, clock)
     table = stages_table(spoken).model_copy(deep=True)
-    table.controllers["box"].__dict__["port"] = "sim://stranger"
-    try:
+    with put_up(Line(box, clock)) as url:
+        table.controllers["box"].__dict__["port"] = url
         with closing(Stage.open(table, clock)) as stage:
             assert stage.axis("a").state is AxisState.UNREFERENCED
             stage.home()
@@ -243,8 +242,6 @@ def test_a_driver_understands_a_box_that_is_none_of_ours(spoken, made):
                 assert here == pytest.approx({"a": target_mm, "b": 130.0 - target_mm}, abs=2e-3)
             stage.stop()
             assert stage.where_mm() == here
-    finally:
-        LINES.pop("stranger")
     assert len(box.asked) > 20
 
 

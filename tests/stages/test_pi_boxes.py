@@ -1,10 +1,12 @@
 """PI beyond the contract: stages without a reference switch, and several controllers on one port."""
 
+from contextlib import closing
+
 import pytest
 
 from sim.emulators.line import Line
 from sim.emulators.pi_gcs2 import PiEmulator, StageMake
-from sim.emulators.protocol_sim import LINES
+from sim.emulators.protocol_sim import put_up
 from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
 from stages.controller import Channel
@@ -133,11 +135,11 @@ def test_three_controllers_on_one_port_at_the_rate_of_their_front_switches():
     """Three axes, as they are mostly bought; the bench file says no rate."""
     clock = VirtualClock()
     motors = {f"{address}/1": Motor(SCREW) for address in (1, 2, 3)}
-    line = LINES["chain"] = Line(PiEmulator(motors, clock), clock)
+    line = Line(PiEmulator(motors, clock), clock)
     line.baud = 38_400
     controller = PiController("chain", {name: Channel(name) for name in motors}, clock)
-    try:
-        assert controller.connect("sim://chain").count("Physik Instrumente") == 3
+    with put_up(line) as url, closing(controller):
+        assert controller.connect(url).count("Physik Instrumente") == 3
         assert controller.baud == 38_400
         for number, name in enumerate(motors, 1):
             controller.token = controller.latch.count
@@ -150,6 +152,3 @@ def test_three_controllers_on_one_port_at_the_rate_of_their_front_switches():
         places = [controller.position_mm(name) for name in motors]
         assert places == pytest.approx([10.0, 20.0, 30.0], abs=0.002)
         assert [motor.carriage_mm for motor in motors.values()] == pytest.approx(places, abs=0.05)
-    finally:
-        controller.close()
-        del LINES["chain"]

@@ -67,10 +67,8 @@ APPROACH = {"side": "from_below", "distance_mm": 0.5, "speed_mm_s": 1.0}
     ],
 )
 def test_an_axis_that_makes_no_sense_is_refused(change):
-    good = {
-        "channel": 1, "limits_mm": [0.0, 100.0], "speed_mm_s": 10.0, "acceleration_mm_s2": 50.0,
-        "approach": APPROACH,
-    }  # fmt: skip
+    good = {"channel": 1, "limits_mm": [0.0, 100.0], "speed_mm_s": 10.0, "acceleration_mm_s2": 50.0,
+            "approach": APPROACH}  # fmt: skip
     assert AxisSettings(**good).channel == "1"
     with pytest.raises(ValidationError):
         AxisSettings(**{**good, **change})

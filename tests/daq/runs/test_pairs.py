@@ -87,13 +87,8 @@ def test_a_shift_run_says_what_was_measured(tmp_path):
     with pytest.raises(RunUnsuitable, match="holds no displacements"):
         pairs_of(folder.path)
     way, real = (1.0, 0.0, 0.0), (1.001, 0.0, 0.0)
-    write_displacements(
-        folder,
-        [
-            Moved(tag="b", frames=(0, 1), commanded_mm=way, measured_mm=real, true_mm=None),
-            Moved(tag="d", frames=(2, 3), commanded_mm=way, measured_mm=real, true_mm=None),
-        ],
-    )
+    ways = {"commanded_mm": way, "measured_mm": real, "true_mm": None}
+    write_displacements(folder, [Moved(tag="b", frames=(0, 1), **ways), Moved(tag="d", frames=(2, 3), **ways)])
     found = pairs_of(folder.path)
     assert [(pair.tag, pair.glass, pair.commanded_mm, pair.measured_mm, pair.dt_s) for pair in found.pairs] == [
         ("b", True, way, real, None)

@@ -42,10 +42,8 @@ LAMPS = {Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.MARKER: "D"}
 DG645 = {Role.Q_SWITCH_1: "AB", Role.Q_SWITCH_2: "CD", Role.CAMERA: "EF"}
 DIODE = {Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}
-HEADS = {
-    "lamps": LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=[180.0, 185.0]),
-    "diodes": LaserHead(max_rate_hz=100.0, pulse_us=50.0),
-}
+HEADS = {"lamps": LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=[180.0, 185.0]),
+         "diodes": LaserHead(max_rate_hz=100.0, pulse_us=50.0)}  # fmt: skip
 FIRMWARE = {
     f"{wiring} {arms}{' slow' if needs_s else ''}": (wiring, {"arms": arms, "needs_s": needs_s})
     for wiring in ("lamps", "diodes")
