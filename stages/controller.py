@@ -43,7 +43,8 @@ class Controller(Link, MotionController):
     """
 
     default_baud: ClassVar[int]
-    other_bauds: ClassVar[Sequence[int]] = ()  # tried after it where the bench file says none: usual, not default
+    # tried after it where the bench file says none: usual, not default
+    other_bauds: ClassVar[Sequence[int]] = ()
     example_channels: ClassVar[tuple[str, str]]  # two valid names, for messages and contract tests
     hold_dtr: ClassVar[bool] = False
     flow_control: ClassVar[bool] = False  # RTS/CTS, and buffers that are emptied after opening
@@ -170,7 +171,8 @@ class Controller(Link, MotionController):
         if port is not None and not port.is_lost:
             for data in self._stop_bytes():
                 port.write(data)
-        self._stopped = True  # again: another thread may have consumed the first while the bytes were on their way
+        # again: another thread may have consumed the first while the bytes were on their way
+        self._stopped = True
 
     def _look_up(self) -> None:
         """Say stop again if one has come since the motion began: it may have overtaken a command still unread."""

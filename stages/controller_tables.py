@@ -62,7 +62,8 @@ class ForeignTable(Table):
 
     homing: Literal["device", "hand"]
     home_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0  # what it reads at the reference that it has found
-    call_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0  # longest call; of a library that waits: longest way
+    # longest call; of a library that waits: longest way
+    call_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
     identity: Text | None = None
 
     @property

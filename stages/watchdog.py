@@ -55,7 +55,8 @@ OPEN_PATIENCE_S = 10.0  # with a port that cannot be opened
 RETRY_S = 0.05
 SHORT_LIFE_S = 1.0  # one that dies sooner is replaced with the next word only, or it might go on for ever
 PARENT_POLL_S = 0.1  # how often the parent is looked for where the system does not tell
-SELECTS_PIPES = os.name == "posix"  # elsewhere a read waits for a word, and only the end of the pipe tells a death
+# elsewhere a read waits for a word, and only the end of the pipe tells a death
+SELECTS_PIPES = os.name == "posix"
 PSEUDO_TERMINALS = range(136, 144)  # major numbers of Unix98 slaves on Linux
 WITHOUT_DEVICE = ("sim://", "loop://")  # these die with their process
 
@@ -161,7 +162,8 @@ class Watchdog:
             return
         assert self._process.stdin is not None
         if SELECTS_PIPES:
-            os.set_blocking(self._process.stdin.fileno(), False)  # a watchdog that hangs must not hang the bench
+            # a watchdog that hangs must not hang the bench
+            os.set_blocking(self._process.stdin.fileno(), False)
         threading.Thread(target=self._miss, args=(self._process,), name="watchdog's death", daemon=True).start()
 
     def _miss(self, process: "subprocess.Popen[bytes]") -> None:

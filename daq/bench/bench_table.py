@@ -104,7 +104,8 @@ class CameraSection(Table):
     settings: dict[str, bool | int | float | str] = Field(default_factory=dict)
     trigger: TriggerSection | None = None  # its settings join those above
     buffers: Annotated[int, Field(ge=2, le=1000)] = 24
-    chunks: Annotated[list[ChunkName], Field(max_length=32)] = Field(default_factory=list)  # kept of every frame
+    # kept of every frame
+    chunks: Annotated[list[ChunkName], Field(max_length=32)] = Field(default_factory=list)
     timeout_s: Annotated[Annotated[float, Field(gt=0.0, le=600.0)], Usual(0.6, 120.0)] = 5.0
     retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
     back_within_s: Annotated[Annotated[float, Field(ge=0.0, le=3600.0)], Usual(0.0, 180.0)] = (

@@ -20,7 +20,8 @@ USB = Path("/sys/bus/usb/devices")
 GENTL_PATH = "GENICAM_GENTL64_PATH"
 INSTALLED = Path("/opt")  # where vendors' packages put theirs, whether or not this shell knows it
 DEEPEST = 5  # folders below it
-USB3_VISION = ("ef", "05", "00")  # class, subclass and protocol of the control interface (USB3 Vision 1.0, 2.1)
+# class, subclass and protocol of the control interface (USB3 Vision 1.0, 2.1)
+USB3_VISION = ("ef", "05", "00")
 NEEDS = {"harvesters": (LIBRARIES["harvesters"], "camera"), "micromanager": (("pymmcore",), "micromanager")}
 TELLING = {  # what a plug says of itself, and the driver of what is behind it
     "0403:faf0": "thorlabs_apt",  # FTDI with Thorlabs' own product id

@@ -118,7 +118,8 @@ class Worker:
                 elif is_armed and self._free:
                     self._grab(FETCH_S)
                 elif is_armed:
-                    self._pipe.poll(FETCH_S)  # no slot free: frames wait in the producer, which counts underruns
+                    # no slot free: frames wait in the producer, which counts underruns
+                    self._pipe.poll(FETCH_S)
         except (EOFError, OSError):
             self._close()
 
@@ -178,7 +179,8 @@ class Worker:
                 f"camera {found[0].serial_number} is listed and does not answer: {one_line(error)}"
             ) from error
         finally:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Harvesters takes Ctrl-C; the parent decides about it
+            # Harvesters takes Ctrl-C; the parent decides about it
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._incomplete)
         info = found[0]
         return {"vendor": info.vendor, "model": info.model, "serial": info.serial_number, "tl_type": info.tl_type}

@@ -77,7 +77,8 @@ def _let_go(memory: SharedMemory, owner: int) -> None:
 def _create(size: int) -> SharedMemory:
     """Memory that the tracker, a process of its own, gives back if this one is killed: without its warning."""
     before = list(sys.warnoptions)
-    sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # a process that is started now is given these
+    # a process that is started now is given these
+    sys.warnoptions.append("ignore:resource_tracker:UserWarning")
     try:
         resource_tracker.ensure_running()
     finally:

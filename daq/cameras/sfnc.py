@@ -27,8 +27,10 @@ OLD_NAMES = {  # by the name of SFNC 2, in the same unit
 }
 NEW_NAMES = {old: new for new, old in OLD_NAMES.items()}
 RATE_SWITCHES: dict[str, Setting] = {"AcquisitionFrameRateEnable": True, "AcquisitionFrameRateAuto": "Off"}
-ONLY_ENTRIES = {"TriggerSelector": "FrameStart", "GainSelector": "All", "BlackLevelSelector": "All"}  # by default
-SELECTED = {"RegionSelector": ("Width", "Height", "Offset")}  # other selectors: what begins with their own name
+# by default
+ONLY_ENTRIES = {"TriggerSelector": "FrameStart", "GainSelector": "All", "BlackLevelSelector": "All"}
+# other selectors: what begins with their own name
+SELECTED = {"RegionSelector": ("Width", "Height", "Offset")}
 SWITCH_SUFFIXES = ("Auto", "Mode", "Enable", "Enabled")
 STEMS = ("AcquisitionFrameRate", "BlackLevel", "Exposure", "Gain", "Gamma", "Line", "Trigger")
 FRAME_TRIGGERS = ("ExposureStart", "FrameBurstStart")  # that start a frame each, the second by a count of 1

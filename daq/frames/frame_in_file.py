@@ -7,7 +7,8 @@ from pathlib import Path
 from piv.errors import FrameError
 
 _NAME = re.compile(r"(.+)@([0-9]{1,8})", re.DOTALL)
-OpenFile = tuple[Path, int, int, int]  # its name, length, time of change [ns], and the process that has it open
+# its name, length, time of change [ns], and the process that has it open
+OpenFile = tuple[Path, int, int, int]
 
 
 def frame_in(place: Path) -> tuple[Path, int] | None:

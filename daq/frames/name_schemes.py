@@ -209,7 +209,8 @@ def _groups_of(names: Collection[str]) -> Iterator[tuple[list[str], re.Pattern[s
     for name in sorted(names, key=natural):
         stem, _, ending = name.rpartition(".")
         groups[f"{_NUMBER.sub('#', stem)}.{ending.lower()}"].append(name)
-    alike: dict[str, list[str]] = defaultdict(list)  # frames before a trigger have a minus, those behind it none
+    # frames before a trigger have a minus, those behind it none
+    alike: dict[str, list[str]] = defaultdict(list)
     for key in groups:
         alike[_SIGNED.sub("#", key)].append(key)
     for keys in alike.values():

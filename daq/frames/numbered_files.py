@@ -196,7 +196,8 @@ class FrameFolder(FoundFiles):
         names = frames_in(path)
         few = FEW_STRAYS * len(names)
         longest = max(sequences_of(names), key=len, default={})
-        is_signed = min(longest, default=0) < 0 and len(names) - len(longest) <= few  # 0, 1 are numbers beside -1
+        # 0, 1 are numbers beside -1
+        is_signed = min(longest, default=0) < 0 and len(names) - len(longest) <= few
         schemes = [] if is_signed else schemes_of(names)
         covering = [scheme for scheme in schemes if len(_others_of(scheme, names)) <= few]
         in_others = {name for scheme in schemes if scheme not in covering for name in scheme.names}

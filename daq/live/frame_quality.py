@@ -103,7 +103,8 @@ LOOKED_AT_PX = 96  # side of what is looked at in the middle of a tile
 NOISE_OF_MAD = 1.4826  # sigma of a normal distribution / median absolute deviation
 STANDS_OUT = 5.0  # noise above the median, from which a maximum is a particle
 BEYOND_PARTICLES_PX = 12  # a shift that no particle reaches over
-STEEPEST, OF_AN_EDGE, LEAST_EDGE_PX = 99.0, 20.0, 0.3  # percentile, noise in bright less dark, pixels themselves
+# percentile, noise in bright less dark, pixels themselves
+STEEPEST, OF_AN_EDGE, LEAST_EDGE_PX = 99.0, 20.0, 0.3
 MIN_TILE_PARTICLES = 6  # maxima in a tile, below which nothing is said of it
 BINS = 64
 

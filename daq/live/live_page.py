@@ -91,7 +91,8 @@ class RateLimiter:
 
 
 ENDS_S = 2.0
-AGAIN_S, SELDOM_S = 0.2, 20.0  # until a server that died is started again, at first and when it dies again at once
+# until a server that died is started again, at first and when it dies again at once
+AGAIN_S, SELDOM_S = 0.2, 20.0
 MOST_CHARACTERS = 1000  # of why it has stopped
 BYTES_PER_PX = 12  # of a snapshot: a frame, and its correction on a plane of up to twice its pixels
 

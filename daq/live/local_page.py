@@ -27,7 +27,8 @@ from websockets.sync.server import Server, ServerConnection, serve
 HOST = "127.0.0.1"
 TOKEN_S = 5.0  # until who has said nothing yet is left
 MOST_THREADS = 1600  # two and more a socket: fewer than the 1024 files that a process may have open
-OUR_FAULTS = "connection handler failed", "process_request failed"  # what strangers send is not for the terminal
+# what strangers send is not for the terminal
+OUR_FAULTS = "connection handler failed", "process_request failed"
 POLICY = 1008  # close code
 FOLDER = files("daq.live") / "page"
 

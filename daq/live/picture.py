@@ -19,7 +19,8 @@ LEAST_PX, LARGEST_PX = 64, 1008  # side of what is sent
 SATURATED = 65535  # as sent
 NOTHING = 0  # as sent: nothing is recovered here
 DARK, BRIGHT = 1.0, 99.7  # percentiles of a still frame that is shown from black to white
-HEAD = struct.Struct("<4sIIIHHfHH16s")  # magic, number, left, top, width, height, pixels a pixel, columns, name
+# magic, number, left, top, width, height, pixels a pixel, columns, name
+HEAD = struct.Struct("<4sIIIHHfHH16s")
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,8 @@ class Corrections:
         if view not in self._prepared:
             scene = self.scene.bare() if view == CLEAR else self.scene
             prepared = prepare(scene, self.dewarp, self.method, maps=self.maps)
-            prepared.corrector(np.zeros(scene.camera.shape, np.uint16))  # compiled and warm before the first frame
+            # compiled and warm before the first frame
+            prepared.corrector(np.zeros(scene.camera.shape, np.uint16))
             self._prepared[view] = prepared
         return self._prepared[view]
 

@@ -61,7 +61,8 @@ class PlanTable(Table):
     experiment: str
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1  # at each stop
     settle_s: Annotated[Annotated[float, Field(ge=0.0, le=600.0)], Usual(0.0, 60.0)] = 0.0
-    notes: Annotated[dict[NoteKey, Note], Field(max_length=100)] = Field(default_factory=dict)  # read by people
+    # read by people
+    notes: Annotated[dict[NoteKey, Note], Field(max_length=100)] = Field(default_factory=dict)
     needed: Annotated[list[str], Field(max_length=100)] = Field(
         default_factory=list
     )  # readings of the bench without which the run stops

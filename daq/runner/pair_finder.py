@@ -44,7 +44,8 @@ T = TypeVar("T")
 Exposure = Literal["A", "B"]
 OTHER_PULSE = 0.9  # of a period: what is farther apart than that shows another pulse
 STRADDLING = 0.6  # evenly spaced frames are half a period apart
-GAP_OFF_NS, GAP_OFF = 100_000, 0.01  # by which the gap of a pair may differ from the settings, and a share of it
+# by which the gap of a pair may differ from the settings, and a share of it
+GAP_OFF_NS, GAP_OFF = 100_000, 0.01
 ENOUGH = 3  # chunks that end with an A, more than those that end with a B, before a run is ended because of it
 BLOCK = 20  # pairs
 SIGN_STANDARD_ERRORS = 8.0  # standard errors from which on a difference has a sign
@@ -88,7 +89,8 @@ class PairFinder(Generic[T]):
         self._last: FrameMeta | None = None
         self._before: deque[FrameMeta] = deque(maxlen=2)
         self.rejected: Counter[str] = Counter()  # frames, by reason
-        self.periods_ns: list[int] = []  # of triggers, over two frames that follow each other, whatever they show
+        # of triggers, over two frames that follow each other, whatever they show
+        self.periods_ns: list[int] = []
         self.pairs = 0
 
     def add(self, meta: FrameMeta, item: T) -> tuple[T, T] | None:

@@ -89,7 +89,8 @@ class TriggerMatch:
         self._is_confirmed = False  # frames taken over a while agree with each other
         self._unanswered = 0  # triggers that were waited for in vain, and whose frames have not come since
         self.waits = False  # the last trigger has had no answer yet, of whatever kind
-        self._is_odd = self._was_odd = False  # something came, or did not, that leaves a first frame unconfirmed
+        # something came, or did not, that leaves a first frame unconfirmed
+        self._is_odd = self._was_odd = False
         self._stale_here = 0  # since the last trigger
         self._only_stale = 0  # windows in a row that brought nothing else
         self._shots = 0

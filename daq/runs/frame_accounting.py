@@ -110,7 +110,8 @@ class FrameCounters:
         self.unasked = 0  # of those rejected: no trigger of ours was owed them
         self.timeouts = 0
         self.in_doubt = False  # settings were lost, or the camera was before they could be checked
-        self.by_time = False  # every frame handed over was exposed for its trigger, whatever else the camera sent
+        # every frame handed over was exposed for its trigger, whatever else the camera sent
+        self.by_time = False
 
     def close(self, counters: Counters) -> FrameAccounting:
         """Add an arm; return the accounting of the session so far.

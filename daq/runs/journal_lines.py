@@ -94,7 +94,8 @@ class StepLine(StepRecord):
     planned_mm: Positions
     measured_mm: Positions
     true_mm: NotRequired[Positions]
-    reading_um: NotRequired[Positions]  # of axes that hands move: standard deviation of a reading in measured_mm
+    # of axes that hands move: standard deviation of a reading in measured_mm
+    reading_um: NotRequired[Positions]
     readings: NotRequired[dict[Text, ReadingRecord]]  # by the name of the device
     gaps: NotRequired[list[Gap]]
 
@@ -104,7 +105,8 @@ class CameraLine(Record):
 
     kind: Literal["camera"]
     utc: Text
-    monotonic_ns: Annotated[list[Wide], Field(min_length=2, max_length=2)]  # right before and behind the question
+    # right before and behind the question
+    monotonic_ns: Annotated[list[Wide], Field(min_length=2, max_length=2)]
     camera_ns: NotRequired[Wide]  # its own clock between the two, the one of `timestamp_ns`
     celsius: NotRequired[float]
 

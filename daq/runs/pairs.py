@@ -44,7 +44,8 @@ from daq.runs.run_file import PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
 from piv.errors import PairError
 
-JITTER_NS, DRIFT = 10_000_000_000, 1e-3  # by which arrivals may differ from a clock that went on: frames queue up
+# by which arrivals may differ from a clock that went on: frames queue up
+JITTER_NS, DRIFT = 10_000_000_000, 1e-3
 
 
 def exposure_times_s(entries: Sequence[Entry], numbers: Iterable[int]) -> dict[int, float | None]:
@@ -204,7 +205,8 @@ class _Judge:
         self._folder = folder
         self._frames = frames
         self._lines = lines
-        self._agree: set[tuple[int, int, int]] = set()  # records that many lines share, and the step; by identity
+        # records that many lines share, and the step; by identity
+        self._agree: set[tuple[int, int, int]] = set()
         self._exposed: dict[tuple[str, bool], tuple[float, int]] = {}  # A or B, background: [us], first frame
 
     def pair(self, step: PlannedStep, one: int) -> None:

@@ -108,7 +108,8 @@ def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
         said = f"{len(lines)} lines of frames and {discarded} discarded, but {len(present)} frames"
         return Finding("journal", False, said)
     total = len(about["steps"])
-    is_alignment = all(step["tag"].startswith("look_") for step in about["steps"])  # it ends once it has settled
+    # it ends once it has settled
+    is_alignment = all(step["tag"].startswith("look_") for step in about["steps"])
     if is_done and len(finished) < (1 if is_alignment else total):
         return Finding("journal", False, f"has {len(finished)} of {total} steps, and done.json says that all are")
     sessions = sum(entry["kind"] == "session" for entry in entries)

@@ -39,7 +39,8 @@ if TYPE_CHECKING:  # most commands have no run, and do not wait for the models o
     from daq.bench.bench_table import BenchTable
 
 UNSCALED_DISTANCE_PX = 2e4  # the same without any scale: lengths are pixels of the frame
-FAR_MM = 1e4  # where a camera is taken to stand of which only a scale is given: at the edge of a view of 100 mm
+# where a camera is taken to stand of which only a scale is given: at the edge of a view of 100 mm
+FAR_MM = 1e4
 # motion along the view is 0.5 % of itself across it
 T = TypeVar("T")
 
@@ -195,7 +196,8 @@ def notes_of(folder: RunFolder) -> dict[str, str]:
 def readings_of(folder: RunFolder) -> dict[str, list[tuple[str, ReadingRecord]]]:
     """Readings of the gauges by name: tag of each finished step, and the reading as the journal has it."""
     found: dict[str, list[tuple[str, ReadingRecord]]] = {}
-    last = {entry["step"]: entry for entry in folder.entries() if entry["kind"] == "step"}  # taken again: the last
+    # taken again: the last
+    last = {entry["step"]: entry for entry in folder.entries() if entry["kind"] == "step"}
     for _, entry in sorted(last.items()):
         for name, reading in entry.get("readings", {}).items():
             found.setdefault(name, []).append((entry["tag"], reading))

@@ -153,7 +153,7 @@ class TimingBox(Link):
 
     # ---- on ------------------------------------------------------------------------------------
 
-    def _wired(self, schedule: Schedule) -> dict[Role, Pulse]:
+    def _with_output(self, schedule: Schedule) -> dict[Role, Pulse]:
         """Pulses of a schedule, all of which have an output; a marker needs none."""
         for role in schedule.pulses:
             if role not in self.wiring and role is not Role.MARKER:

@@ -49,7 +49,8 @@ from daq.timing.switches import OFF, Switches
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
-SPARE_S = 0.05  # by which the first tick of a box that counts may come after the answer to the word that starts it
+# by which the first tick of a box that counts may come after the answer to the word that starts it
+SPARE_S = 0.05
 BURST_POLL_S = 0.01  # between two looks of `wait`
 ARMED_S = 10.0  # how long conditions that were stated at arming may be believed
 

@@ -31,7 +31,8 @@ from stages.errors import StageError
 
 WATCH_POLL_S = 0.01  # between two questions, and between two judgements
 SILENCE_S = 1.0  # without a new answer, of the wall's time in which the judge was on time
-ON_TIME_S = 0.02  # between two looks of a judge who is on time; what is beyond is the computer's, not a device's
+# between two looks of a judge who is on time; what is beyond is the computer's, not a device's
+ON_TIME_S = 0.02
 BLIND_S = 5.0  # of the wall's clock, without a new answer, however busy the computer was
 
 

@@ -62,7 +62,8 @@ class RegisterMap:
         self.bootstrap = bytearray(BOOTSTRAP_BYTES)
         self._memory = bytearray(top - FEATURE_BASE)
         self.xml = describe(features, self.addresses, vendor, model)
-        self._elsewhere: dict[tuple[str, int], Value] = {}  # of features with a value per entry of their selector
+        # of features with a value per entry of their selector
+        self._elsewhere: dict[tuple[str, int], Value] = {}
         self.on_write: Callable[[str, Value], None] | None = None
         self.before_read: Callable[[str], None] | None = None
         self.reset()

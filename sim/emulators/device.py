@@ -27,7 +27,8 @@ class Clock(Protocol):
         """Seconds."""
 
 
-Purpose = Literal["move", "reference", "hand"]  # where it was sent; looking for its reference; turned by a person
+# where it was sent; looking for its reference; turned by a person
+Purpose = Literal["move", "reference", "hand"]
 
 
 class TimedReply(NamedTuple):
@@ -48,7 +49,8 @@ class Emulator:
         Time of the world.
     """
 
-    has_serial: ClassVar[bool] = False  # a number by which its protocol distinguishes it from another of its kind
+    # a number by which its protocol distinguishes it from another of its kind
+    has_serial: ClassVar[bool] = False
     decoder: ClassVar[Callable[[], Stream] | None] = None  # of what a host says; begun anew with the power
     zero_at_top: ClassVar[bool] = False  # the controller's coordinate is zero at the upper switch
 

@@ -180,7 +180,8 @@ class PiEmulator(Emulator):
         super().__init__(motors, clock)
         self._command_set = command_set
         self._stages, self._serial, self._knows_switches = stages, serial, knows_switches
-        self._chain: dict[int | None, dict[str, _Axis]] = {}  # axes by address; one without an address is alone
+        # axes by address; one without an address is alone
+        self._chain: dict[int | None, dict[str, _Axis]] = {}
         self._errors: Counter[int | None] = Counter()
         self._spoken_to: int | None = None  # address of the one that answers now
         self._names_sender = False

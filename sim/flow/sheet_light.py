@@ -131,7 +131,8 @@ def count_light(
     edge = np.hypot(max(abs(left), abs(left + side * shape[1])), max(abs(top), abs(top - side * shape[0])))
     outlines = [body.capsule for body in scene.bodies]
     far = 1.0 + max([float(edge), *(float(np.abs(one[:2]).sum()) + one.radius_mm for one in outlines)])
-    world = tables_of(scene, Pose((0.0, 0.0, -2.0 * far)), None, is_light=True).world  # every body is before it
+    # every body is before it
+    world = tables_of(scene, Pose((0.0, 0.0, -2.0 * far)), None, is_light=True).world
     boxes = (left, top, side, REACH * upright_mm(sheet), sheet.offset_mm, sheet.slope_x, sheet.slope_y)
     sums, powers = np.zeros((3, *shape)), np.zeros(3)
     rng = np.random.default_rng(seed)

@@ -207,7 +207,8 @@ class IselController(Controller):
         """Send a command whose answer comes when the motion has ended."""
         self._clear_line()
         with self._gate(moves=True):
-            self._motion_pending = True  # before the bytes: a stop from another thread must not take it for idle
+            # before the bytes: a stop from another thread must not take it for idle
+            self._motion_pending = True
             self.port.write(command.to_bytes())
 
     def _motion(self, index: int, distance: int, speed: int) -> dnc.Move:

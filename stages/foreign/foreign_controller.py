@@ -70,7 +70,8 @@ class ForeignController(ForeignLibrary):
         self._home_mm = 0.0
         self._motion: Motion | None = None
         self._rests_mm: dict[str, float] = {}  # where channels came to rest, by the library's own zero
-        self._zero_mm: dict[str, float] = dict.fromkeys(channels, 0.0)  # the library's zero, as a person has said
+        # the library's zero, as a person has said
+        self._zero_mm: dict[str, float] = dict.fromkeys(channels, 0.0)
 
     def _begin_anew(self, table: ForeignTable) -> None:
         self._motion, self._homed_by_hand, self._home_mm = None, table.homing == "hand", table.home_mm

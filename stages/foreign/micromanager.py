@@ -95,7 +95,8 @@ class MicroManager(ForeignController):
         noise_mm = self.noise_mm(channel)
         if abs(targets.get(partner, math.inf) - partner_mm) > noise_mm:
             rests_mm = self._rests_mm.get(f"{label}/{partner}", math.inf)
-            targets[partner] = rests_mm if abs(rests_mm - partner_mm) <= noise_mm else partner_mm  # does it hunt?
+            # does it hunt?
+            targets[partner] = rests_mm if abs(rests_mm - partner_mm) <= noise_mm else partner_mm
         targets[axis] = target_mm
         self._core.setXYPosition(label, targets["x"] / self._mm_per_unit, targets["y"] / self._mm_per_unit)
 

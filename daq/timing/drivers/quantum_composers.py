@@ -45,10 +45,12 @@ T0 = 0
 OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
 PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
-FIRST_OFF_ANSWER_S = 0.1  # without an answer to the first off of a burst, until off is written to all its outputs
+# without an answer to the first off of a burst, until off is written to all its outputs
+FIRST_OFF_ANSWER_S = 0.1
 ROUNDS_AT_END = 3  # of off to Q-switches whose first may have been refused, before anything is asked
 INSISTS = 6  # how often off is said again to such a box, before anything is asked: 0.3 s
-MORE_ROUNDS = 3  # in which off is said again to outputs that read back as on, before the box is called deaf to it
+# in which off is said again to outputs that read back as on, before the box is called deaf to it
+MORE_ROUNDS = 3
 NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
 UNKNOWN_WORD = (2, 3)  # refusals
 STOPPED = "was stopped at its keys or by another program, or lost power (T0 is off): see the laser, then safe()"
@@ -128,7 +130,7 @@ class QuantumComposersBox(TimingBox):
     def load(self, schedule: Schedule) -> Schedule:
         """Write and read back; the period only if it is another one, so that lamps do not miss a beat."""
         with self._lock:
-            wired = self._wired(schedule)
+            on_outputs = self._with_output(schedule)
             self._require_dark()
             for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), *self._gate_settings()):
                 self._keep(T0, keyword, value)
@@ -136,7 +138,7 @@ class QuantumComposersBox(TimingBox):
                 for word, value in self._settings(role):
                     self._keep(self._number(role), word, value)
             period_us = 1e6 * self._put_seconds(T0, "PER", schedule.period_us * 1e-6, 9)
-            pulses = {role: self._load_pulse(role, pulse) for role, pulse in wired.items()}
+            pulses = {role: self._load_pulse(role, pulse) for role, pulse in on_outputs.items()}
             return Schedule(period_us, pulses, schedule.light_delay_us)
 
     def start_lamps(self) -> None:

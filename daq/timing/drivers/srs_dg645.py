@@ -81,13 +81,13 @@ class Dg645Box(TimingBox):
     def load(self, schedule: Schedule) -> Schedule:
         """Write period and delays, with outputs of no length."""
         with self._lock:
-            wired = self._wired(schedule)
+            on_outputs = self._with_output(schedule)
             self._wait_until_idle()
             self._require_dark()
             for word, value in FIXED.items():
                 self._keep(word, value)
             period_s = self._keep("BURP", f"{schedule.period_us * 1e-6:.12f}")
-            pulses = {role: self._place(self.wiring[role], pulse) for role, pulse in wired.items()}
+            pulses = {role: self._place(self.wiring[role], pulse) for role, pulse in on_outputs.items()}
             if self._loaded is None:
                 self._keep("BURM", "1")
             self._require_burst_mode()  # an off since it was loaded first holds until `silence`

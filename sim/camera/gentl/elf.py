@@ -116,7 +116,8 @@ def _arm_boot(at: int, imports: tuple[int, int, int], script: int, table: int) -
     code += [0xB9005FE0, 0xB9405BE0]  # str w0, [sp, #92]; ldr w0, [sp, #88]
     call(imports[2])
     code += [0xB9405FF1, 0xF9402BF0]  # ldr w17, [sp, #92]; ldr x16, [sp, #80]
-    code += [0xA94107E0, 0xA9420FE2, 0xA94317E4, 0xA9441FE6, 0xA8C77BFD]  # ldp x0..x7; ldp x29, x30, [sp], #112
+    # ldp x0..x7; ldp x29, x30, [sp], #112
+    code += [0xA94107E0, 0xA9420FE2, 0xA94317E4, 0xA9441FE6, 0xA8C77BFD]
     code += [0x35000000 | (5 << 5) | 17]  # cbnz w17, failed
     code.append(_adrp(17, at + 4 * len(code), table))
     code += [_add_low(17, table), 0xF8707A31, 0xD61F0220]  # ldr x17, [x17, x16, lsl #3]; br x17

@@ -194,7 +194,8 @@ INFO: dict[str, type[Any]] = {  # functions that ask a module for one of its ans
     "TLGetInfo": System, "IFGetInfo": Interface, "DevGetInfo": Device, "DSGetInfo": StreamModule,
     "EventGetInfo": Event,
 }  # fmt: skip
-ABSENT: dict[str, type[Any]] = {"IFGetParentTL": Interface, "DevGetParentIF": Device}  # parents are not handed out
+# parents are not handed out
+ABSENT: dict[str, type[Any]] = {"IFGetParentTL": Interface, "DevGetParentIF": Device}
 
 
 class Producer(PortCalls, FindCalls, StreamCalls):
