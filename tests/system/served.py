@@ -22,6 +22,7 @@ class Served:
 
     def __init__(self, folder, path, world, clock):
         self.folder, self.path, self.world, self.clock = folder, path, world, clock
+        self._started = []
 
     def true_mm(self, axis):
         return self.world.true_mm(axis)
@@ -52,7 +53,17 @@ class Served:
         command = [sys.executable, "-u", "-m", "rtpiv.command_line.cli", *map(str, arguments)]
         environment = os.environ | {"TMPDIR": str(self.folder), "COLUMNS": "200"}
         pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-        return subprocess.Popen(command, cwd=self.folder, env=environment, text=True, **pipes | options)
+        process = subprocess.Popen(command, cwd=self.folder, env=environment, text=True, **pipes | options)
+        self._started.append(process)
+        return process
+
+    def close(self):
+        """End every program that was started, whatever it is doing."""
+        for process in self._started:
+            process.kill()
+            process.wait(60)
+            for pipe in filter(None, (process.stdin, process.stdout, process.stderr)):
+                pipe.close()
 
     def run(self, *arguments, lines=""):
         """Run a verb to its end in haste; exit code, output, errors."""
@@ -81,7 +92,11 @@ def served_bench(folder, change=lambda text: text, camera=FILES_CAMERA):
         for name, table in offered.controllers.items():
             text = re.sub(rf"(    {name}: \{{driver: \w+, port: )[^,}}]+", rf"\g<1>{table.port}", text)
         path.write_text(text)
-        yield Served(folder, path, world, clock)
+        served = Served(folder, path, world, clock)
+        try:
+            yield served
+        finally:
+            served.close()
 
 
 def end(process):

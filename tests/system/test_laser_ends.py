@@ -156,7 +156,7 @@ def signalled(*numbers):
 @pytest.mark.parametrize(
     "how",
     [
-        pytest.param(signalled(signal.SIGTERM), id="SIGTERM"),
+        pytest.param(signalled(signal.SIGTERM), id="SIGTERM", marks=pytest.mark.slow),
         pytest.param(signalled(signal.SIGINT), id="Ctrl-C"),
         pytest.param(signalled(signal.SIGINT, signal.SIGINT), id="Ctrl-C twice", marks=pytest.mark.slow),
         pytest.param(signalled(signal.SIGHUP), id="SIGHUP", marks=pytest.mark.slow),

@@ -40,7 +40,6 @@ QUICK = [  # of a second or two each, on a lab that nobody has measured in
     "acquire plan-target.yaml --bench bench.yaml --dry-run",
     "check bench.yaml",
     "doctor",
-    "doctor --bench bench.yaml",
 ]
 SMALL = ["--sensor-px", "504", "504", "--pixel-pitch-um", "11"]
 SAYS = {"doctor --bench bench.yaml": DEVICE}  # what a command ends with where no device of the bench is there

@@ -18,7 +18,6 @@ from correction.maps.correction_map import build_correction_map
 from daq.bench.bench_file import load_bench
 from daq.errors import RunUsageError
 from ground.config import load_yaml
-from rtpiv.analysis.prints.pages import whole_dots
 from rtpiv.analysis.through_glass import coarse_map, percent, through_glass
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.templates.arrangement import centres_mm, rods_mm, usual
@@ -56,7 +55,7 @@ LABS = {
 
 
 # The others differ from these by a number of balls or a distance.
-FAST = ("one ball", "triangle on rods", "body-centred bed", "by hand, on the plane")
+FAST = ("triangle on rods", "body-centred bed", "by hand, on the plane")
 FEW = [pytest.param(lab, id=name, marks=[pytest.mark.slow] * (name not in FAST)) for name, lab in LABS.items()]
 
 
@@ -244,12 +243,6 @@ def test_the_end_of_the_answers_writes_nothing(tmp_path):
 def test_every_question_has_a_usual_answer():
     only_options = {"name", "sizes_mm", "glasses", "turn_deg", "layers", "plane"}
     assert {question.key for question in QUESTIONS} == set(vars(Lab())) - only_options
-
-
-def test_the_board_is_the_one_that_the_lab_has():
-    lab = Lab(square_mm=3.0)
-    assert "target: {square_mm: 3, disc_mm: 1.2}" in bench_text(lab, room_of(lab))
-    assert Lab().board_mm == whole_dots(1.5)
 
 
 @pytest.mark.usefixtures("no_others")

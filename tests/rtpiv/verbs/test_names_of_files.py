@@ -28,16 +28,12 @@ EXPORTS = "matlab", "paraview", "tecplot", "csv"
 OPTIONS = ("--mm-per-px", "0.1", "--dt-us", "100", "--final-window", "32", "--workers", "1")
 
 
-# Pictures are drawn of one pair, whose page has all of them, and not a second time of the mean.
 MAIN = """
 import sys
-from contextlib import nullcontext
 from rtpiv.command_line.cli import main
 from tests.rtpiv.conftest import undrawn
-def run(words):
-    with nullcontext() if "--vtk" in words else undrawn():
-        return main(words)
-sys.exit(max(run(words.split("\\n")) for words in sys.argv[1:]))
+with undrawn():
+    sys.exit(max(main(words.split("\\n")) for words in sys.argv[1:]))
 """
 
 

@@ -12,7 +12,6 @@ from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.loops import loop_over
 from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, content_of, flow_run
-from tests.rtpiv.conftest import undrawn
 
 PAIRS = 6
 WINDOWS = ("--first-window", "32", "--final-window", "16", "--workers", "1")
@@ -23,7 +22,6 @@ def run(tmp_path_factory):
     return flow_run(tmp_path_factory.mktemp("flow"), PAIRS, unseeded=2)
 
 
-@pytest.mark.draws
 def test_mean_takes_a_run_and_then_its_series(run, monkeypatch, capsys):
     """Evaluated once, averaged twice: the same file; mean.nc says mean, stresses and their uncertainty."""
     with monkeypatch.context() as without_page:  # that of the series alone takes its place
@@ -35,8 +33,7 @@ def test_mean_takes_a_run_and_then_its_series(run, monkeypatch, capsys):
     assert "no map uncertainty: there is no fit" in said.out
     assert f"{PAIRS}/{PAIRS}" in said.err  # progress
     first = (out / "mean.nc").read_bytes()
-    with undrawn():  # the report of the run draws it again
-        assert main(["mean", str(out)]) == DONE
+    assert main(["mean", str(out)]) == DONE
     assert (out / "mean.nc").read_bytes() == first
     with netcdf_file(out / "mean.nc", mmap=False) as file:
         found = {name: np.array(each[:]) for name, each in file.variables.items()}

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 
-import rtpiv
 from piv.files.vector_file import read_vectors
-from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
 
@@ -96,13 +94,6 @@ def test_the_ensemble_mean_has_the_same_units(day, tmp_path):
     found = read_vectors(tmp_path / "out" / "mean_ensemble.nc")
     assert (found.units["u"], found.units["R_uu"], found.length_unit) == ("pixel", "pixel2", "pixel")
     assert float(np.nanmedian(found.fields["u"])) == pytest.approx(SHIFT[0], abs=0.05)
-
-
-def test_python_takes_two_frames_alone(day):
-    found = rtpiv.evaluate([day / "B000_a.tif", day / "B000_b.tif"])
-    assert found.vectors.units["u"] == "pixel"
-    same = rtpiv.evaluate([day / "B000_a.tif", day / "B000_b.tif"], recipe=CorrectionRecipe(mm_per_px=0.5))
-    np.testing.assert_allclose(same.vectors.fields["u"], 0.5 * found.vectors.fields["u"], rtol=1e-4)
 
 
 def test_what_is_no_frame_is_refused_as_before(day, tmp_path, capsys):

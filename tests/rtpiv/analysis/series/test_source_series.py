@@ -48,19 +48,6 @@ def test_the_vectors_are_those_of_a_run_with_the_same_frames(recorded, tmp_path,
     assert mean_of_series(SeriesView(tmp_path / "out")).used == PAIRS
 
 
-def test_two_frames_with_a_time_have_velocities(recorded, tmp_path, capsys):
-    frames = [str(recorded / f"B00000_{letter}.tif") for letter in "ab"]
-    words = ["evaluate", *frames, "--scene", str(recorded / "scene.yaml"), *WINDOWS, "--no-pictures"]
-    for name, more in (("moved", ()), ("timed", ("--dt-us", "50"))):
-        assert main([*words, *more, "-o", str(tmp_path / name)]) == DONE
-    found = {}
-    for name in ("moved", "timed"):
-        with netcdf_file(tmp_path / name / "vectors.nc", mmap=False) as file:
-            found[name] = np.array(file.variables["u"][:]), file.variables["u"].units
-    assert (found["moved"][1], found["timed"][1]) == (b"mm", b"m s-1")
-    np.testing.assert_allclose(found["timed"][0], 1e-3 * found["moved"][0] / 50e-6, rtol=1e-6)
-
-
 def test_a_folder_is_evaluated_and_a_pattern_averaged(recorded, tmp_path, monkeypatch, capsys):
     """Mean of the folder, of its pattern and of the run that recorded these frames; by ensembles too."""
     monkeypatch.chdir(tmp_path)
