@@ -20,7 +20,7 @@ sigma that comes of it, and were up to 2.2 of what vectors tell of themselves (A
 **How far it is to be believed.** Vectors follow the noise of the very blocks they are made of. Of N equal blocks
 under a Gaussian window a vector takes e = sum w n/sum w p, whose covariance with the block in its middle is twice
 its variance s^2; so where all detail is kept the products lack 4 s^2 of the whole error, and 5 s^2 after passes
-(`FOLLOWED`, f, lies between), s^2 of one correlation or, if that is less, of the vector after the last filter.
+(`FOLLOWED`, f, is the theory's), s^2 of one correlation or, if that is less, of the vector after the last filter.
 Particle images of variance s_p^2 lean by less than in proportion, of a random displacement
 (1 + s^2/(2 s_p^2))^-1.5. With that given back to a measurement m, what vectors miss beside their random variance
 s_0^2 is
@@ -49,7 +49,7 @@ OPPOSITE = (1, 0), (0, 1), (1, 1), (1, -1)  # rows and columns to one block and,
 NEAR = 0.8  # of a block's side: standard deviation of what belongs to a node
 POOLED = 2.0  # windows: standard deviation of means over nodes
 CLEAR_OF_CHANCE = 5.0  # times the chance deviation of a measurement
-FOLLOWED = 4.5  # variances of noise that are given back
+FOLLOWED = 4.0  # variances of noise that are given back
 OF_FLOW = 0.2  # of what is measured: adds to the variance of windows
 LEAST_BLOCKS = 10  # a side of windows whose vectors are measured
 EDGE_BLOCKS = 2  # blocks at the edge of frames that lack pixels

@@ -13,7 +13,7 @@ Each step of `judge_vectors` needs those before it:
    halving has shown, which knows nothing of noise that vectors follow;
 5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel;
 6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it;
-7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so random parts grow.
+7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so the total grows.
 
 `sigma_u_px` and `sigma_v_px` are the result of 2., `resolution_px` that of 3. to 7.; both together are the total.
 Of the resolution `steady_px` is the part that is the same in every pair of a steady flow.
@@ -30,6 +30,7 @@ from piv.correlation.cut_windows import cut_px
 from piv.correlation.denoise import Denoised, remove_noise
 from piv.correlation.evidence import is_chance_match, is_low_confidence
 from piv.correlation.finer_waves import Evaluated, finer_px
+from piv.correlation.halving import PIECES
 from piv.correlation.passes import Measured, MultipassState
 from piv.correlation.planes import fill_gaps
 from piv.correlation.refine import window_weights
@@ -102,7 +103,8 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         is_usual = sizes.side_px == settings.windows_px[-1]
         steady = steady_px(modelled, missed_px, is_usual, settings.windows_px[-1] / grid.step_px)
         is_halved = is_usual & settings.finds_windows
-        parts = np.stack((with_halving(modelled, removed, missed_px, is_halved), *steady))
+        resolved = with_halving(modelled, removed, missed_px, is_halved & (particles >= 4.0 * PIECES))
+        parts = np.stack((resolved, *steady))
         large = sizes.side_px >= LEAST_BLOCKS * blocks.side_px
         if not large.all():  # nothing is measured there, see 4.
             finer = _short_wave_error(course, good, noise, added)
@@ -128,7 +130,7 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         if settings.flow_beyond_mask:
             cut = cut * np.array(BEYOND_CUT)[:, None, None]
         parts = np.hypot(parts, cut)
-        # 7. Noise that was estimated from the same few particles.
+        # 7. All of these were estimated from the same few particles.
         parts[0] = with_few_pieces(parts[0], sigma, particles, is_usual)
     fill, near = fill_gaps(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)

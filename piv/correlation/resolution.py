@@ -42,7 +42,7 @@ THIN = 4.0  # pieces of the usual window where what lies beside an empty middle 
 OTHERWISE = 0.47
 LOST_SHARE = 0.1
 NOISE_RANGE = 3.0  # range of nine normal deviates over their deviation
-FEW = 24.0  # over N^2: added to 1 in the variance where N pieces know their own spread
+FEW = 16.0  # over N^2: added to 1 in the variance where N pieces know their own spread
 ENOUGH_PIECES = 6.0  # pieces that do
 # A core that was not followed: windows of 3 x 3, and mean resultant length of what they show beside the vectors
 GAP = 3
@@ -116,10 +116,10 @@ def with_halving(modelled: Modelled, taken_px: Floats, missed_px: Floats, is_hal
     missed_px : ndarray of float64, shape (ny, nx)
         What halving has shown that windows miss.
     is_halved : ndarray of bool, shape (ny, nx)
-        Windows that were halved.
+        Windows that were halved, and whose halves hold enough particles to say so.
     """
     squares = [np.square(part) for part in (modelled.total_px, taken_px, missed_px)]
-    return np.where(is_halved, np.sqrt(0.5 * sum(squares)), modelled.total_px)
+    return np.where(is_halved, np.sqrt(0.5 * sum(squares)), np.maximum(modelled.total_px, missed_px))
 
 
 def steady_px(
@@ -171,7 +171,7 @@ def with_few_pieces(
 ) -> Floats:
     """Return the resolution error (ny, nx) that makes the total larger where N pieces are few.
 
-    The random variance grows by 1 + `FEW` (1/N^2 - 1/N_0^2), N_0 = `ENOUGH_PIECES`.
+    The variance grows by 1 + `FEW` (1/N^2 - 1/N_0^2), N_0 = `ENOUGH_PIECES`.
 
     A deviation that two or three particles tell is itself hardly known, as that of a t distribution of few degrees
     of freedom, whose standard deviation is larger (JCGM 101:2008, 6.4.9). Finer windows do not need it: they stand
@@ -189,7 +189,8 @@ def with_few_pieces(
         Windows of usual size.
     """
     few = np.where(is_usual, np.maximum(pieces**-2.0 - ENOUGH_PIECES**-2.0, 0.0), 0.0)
-    return np.asarray(np.sqrt(np.square(resolution_px) + FEW * few * np.square(sigma_px).mean(axis=-1)))
+    random = np.square(sigma_px).mean(axis=-1)
+    return np.asarray(np.sqrt((np.square(resolution_px) + random) * (1.0 + FEW * few) - random))
 
 
 def second_differences(vectors: Floats, apart: int) -> Floats:
