@@ -43,7 +43,7 @@ RAYS = 2  # along and down a pixel of those compared: edges of glass are sharper
 JACKKNIFE_BLOCKS = 4, 5  # of a frame, down and along
 SPOT_PX = 1.2  # standard deviation of a particle's image
 ELSEWHERE_SIGMAS = 3.0  # sigmas from which a sheet is said to lie elsewhere
-LEAST_LIGHT = 0.02  # of the undisturbed sheet's: below it at all heights, a pixel is dark
+DARK_PIXEL = 0.02  # of the undisturbed sheet's: below it at all heights, a pixel is dark
 MODEL_SHARE = 0.0008  # of the light: true heights leave 0.0001 to 0.0007 more
 
 
@@ -59,15 +59,12 @@ class BrightnessHeight:
         Lowest and highest of those allowed.
     given : LightSheet
         As the scene has it.
-    correlation : float
-        Of the brightness seen with that traced at the best height.
     """
 
     z_mm: float
     sigma_mm: float
     range_mm: tuple[float, float]
     given: LightSheet
-    correlation: float
 
     @property
     def is_elsewhere(self) -> bool:
@@ -123,7 +120,7 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     blur = SPOT_PX / times / RAYS
     roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]
     root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
-    use &= np.max(roots, axis=0) > np.sqrt(LEAST_LIGHT)
+    use &= np.max(roots, axis=0) > np.sqrt(DARK_PIXEL)
     sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)
     margin = MODEL_SHARE * float(np.sum(root[use] ** 2))
     low, high = height_range(heights, sums.sum(axis=1), margin)
@@ -131,9 +128,7 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     middles = [sum(height_range(heights, one, margin)) / 2.0 for one in rest.T]
     scatter = (len(middles) - 1) * float(np.nanvar(middles))  # jackknife
     sigma = float(np.sqrt(scatter + (high - low) ** 2 / 12.0))
-    nearest = roots[int(np.argmin(sums.sum(axis=1)))]
-    alike = float(np.corrcoef(root[use], nearest[use])[0, 1])
-    return BrightnessHeight(0.5 * (low + high), sigma, (low, high), sheet, alike)
+    return BrightnessHeight(0.5 * (low + high), sigma, (low, high), sheet)
 
 
 def _bin_pixels(frame: NDArray[np.float64], times: int) -> NDArray[np.float64]:

@@ -52,7 +52,7 @@ from ground.memory import require_memory
 from ground.program_code import code_digest
 from ground.rows import run_rows
 from ground.short_repr import short_repr
-from tracer.bodies import CONTACT_TOL_MM, Block, Capsule
+from tracer.bodies import CONTACT_TOL_MM, Block, Capsule, Sphere
 from tracer.scene.scene import Scene, SceneBound
 from tracer.strategies.branches import Branch, Numbers
 from tracer.strategies.ray_map import RayHeader, RayMap
@@ -372,9 +372,13 @@ def build_correction_map(
 
 
 def _outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
-    """Return the map with its nodes inside bodies IN_GLASS; the same map where no body reaches through z = 0."""
+    """Return a fresh map with its nodes inside bodies IN_GLASS, written in place."""
     inside = nodes_in_glass(scene, found.grid)
-    return found if inside is None else found.without(inside, NodeStatus.IN_GLASS)
+    if inside is not None:
+        found.status[inside] = NodeStatus.IN_GLASS
+        np.copyto(found.pixel, np.nan, where=inside[..., None])
+        np.copyto(found.weight, np.float32(0.0), where=inside)
+    return found
 
 
 def nodes_in_glass(scene: Scene, grid: PlaneGrid) -> NDArray[np.bool_] | None:
@@ -382,11 +386,18 @@ def nodes_in_glass(scene: Scene, grid: PlaneGrid) -> NDArray[np.bool_] | None:
     cut = [body for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM and body.room is None]
     if not cut:
         return None
-    inside, nodes_mm = np.zeros(grid.shape, np.bool_), grid.nodes_mm()
+    inside = np.zeros(grid.shape, np.bool_)
+    y, x = (np.arange(count) * grid.pitch_mm for count in grid.shape)
+    x, y = grid.origin_mm[0] + x, grid.origin_mm[1] - y
     for body in cut:
-        part = _window_of(body.capsule, grid)
-        places = np.concatenate((nodes_mm[part], np.zeros((*inside[part].shape, 1))), axis=-1)
-        inside[part] |= body.distance_mm(places) < 0.0
+        part = rows, columns = _window_of(body.capsule, grid)
+        if isinstance(body, Sphere) and not body.shape_um:  # a disc, without all nodes' places in memory
+            cx, cy, cz = body.centre_mm
+            square = np.square(y[rows] - cy)[:, None] + np.square(x[columns] - cx)
+            inside[part] |= square < body.radius_mm**2 - cz**2
+        else:
+            places = np.stack((*np.meshgrid(x[columns], y[rows]), np.zeros(inside[part].shape)), axis=-1)
+            inside[part] |= body.distance_mm(places) < 0.0
     return inside
 
 

@@ -40,7 +40,7 @@ from tracer.scene.scene import Scene
 from tracer.strategies.trace import world_of
 
 LAYERS, DIRECTIONS = 32, 3  # across the thickness: heights, and angles where the light diverges
-DIVERGING_LAYERS = 20  # heights where it does: 99 % of the nodes within 0.1 % of 32
+DIVERGING_LAYERS = 16  # heights where it does: 99 % of the nodes within 0.2 % of 32
 FARTHEST = 3.2  # standard deviations of a Gaussian that are traced
 REACH = 2.0  # thicknesses either way that count as light in the plane
 PARTS = 4  # of the layers, each with nodes of its own: the sum has the same bits for any number of threads
