@@ -212,14 +212,17 @@ def _move(fit: SceneFit, part: _Shared, joint: Floats, draws: Floats, key: str) 
 
 
 def _growth(fit: SceneFit, moved: SceneFit) -> float:
-    """Rms residual of the corners behind glass in the moved scene over that of the fit."""
-    used = fit.corners.inlier & fit.corners.behind
-    before, after = (landings(one.scene, fit.corners.pixel[used]) for one in (fit, moved))
-    own = fit.corners.residual_px[used]
-    left = own + before.step_px(after)  # the corner moves against what a pixel shows
+    """Rms residual behind glass in the moved scene over that of the fit, or of all corners; at least 1."""
+    corners = fit.corners
+    used = corners.inlier & corners.behind
+    before, after = (landings(one.scene, corners.pixel[used]) for one in (fit, moved))
+    left = corners.residual_px[used] + before.step_px(after)  # the corner moves against what a pixel shows
     seen = np.isfinite(left).all(axis=1)
-    size = float(np.square(own[seen]).sum())
-    return float(np.sqrt(np.square(left[seen]).sum() / size)) if size > 0.0 else 1.0
+    if not seen.any():
+        return 1.0
+    # A few corners behind glass may be fitted exactly.
+    own = max(float(np.square(corners.residual_px[some]).mean()) for some in (used, corners.inlier))
+    return max(1.0, float(np.sqrt(np.square(left[seen]).mean() / own)))
 
 
 def _in_its_light(fit: SceneFit, scene: Scene) -> Scene:

@@ -48,7 +48,10 @@ APART = (
     "where no light sheet explains it the views are {:.3f} mm apart ({:.1f} sigma): one camera or a ball does not"
     " stand where it was calibrated"
 )
-MOVED = "view {} ({}) explains it: what its camera shows is {:.3f} mm from its place; calibrate this camera again"
+MOVED = (
+    "the camera of view {} ({}) was moved since it was calibrated: what it shows is {:.3f} mm from its place;"
+    " calibrate it again"
+)
 
 ELSEWHERE = (
     "the light sheet lies {:+.3f} +- {:.3f} mm from where the scenes have it, or a camera does not stand where it"

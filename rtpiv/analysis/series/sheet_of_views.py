@@ -24,7 +24,6 @@ from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.strategies.sensitivity import landings
 
-STRANGERS = 2.0  # sigma that no sheet explains, from which a camera is asked for that was moved
 MOST_FRAMES, CHECKED_FRAMES = 100, 10  # that are compared, of both pulses, to measure the sheet; and to check it
 COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
 POSE = tuple(f"camera.{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
@@ -62,8 +61,6 @@ def sheet_of_views(series: Sequence[SeriesInput], most: int = MOST_FRAMES) -> Sh
     place, apart, unsure, slope = (np.concatenate([part[k].reshape(-1, 2) for part in parts]) for k in range(4))
     independent = min(1.0, (windows.step_px / windows.size_px) ** 2)
     found = fit_sheet(place, apart, unsure, slope, independent, COMMON_PX * grid.pitch_mm)
-    if not found.residual_sigma > STRANGERS:
-        return found
     return name_moved(found, (place, apart, unsure, slope), _of_poses(series), independent)
 
 

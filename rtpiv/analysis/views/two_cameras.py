@@ -40,7 +40,8 @@ from tracer.strategies.sensitivity import TARGET, landings
 LOCATION_PX = 0.1  # of a particle's picture in a frame; a pair has two frames
 DEGREES = tuple(range(-30, 31, 5))  # of cameras on an arc about the y axis
 SHARE_STEP = 0.01  # by which shares must differ for one pair of places to be better
-RUN_PAIRS, MAX_KNOCK_UM = 100, 500.0  # of a run; least knock of a ball of which nothing is told
+RUN_PAIRS = 100
+MAX_KNOCK_UM = 500.0  # least knock of a ball of which views know nothing
 Floats = NDArray[np.float64]
 Balls = dict[str, tuple[Floats, float]]
 
@@ -201,7 +202,7 @@ def _with_balls(found: TwoCameras, plane: _Plane, one: _View, two: _View) -> Two
     return replace(found, balls=_balls(plane.names, by_ball, slope, location, particles))
 
 
-def seen_twice(scene: Scene, views: DoubleViews) -> Balls:
+def double_view_forecast(scene: Scene, views: DoubleViews) -> Balls:
     """Forecast the places of balls from particles that one camera shows twice, as `TwoCameras.balls`."""
     names = [ball.name for ball in scene.spheres]
     one, two = (landings(scene, pixel) for pixel in (views.first_px, views.second_px))

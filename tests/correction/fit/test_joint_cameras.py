@@ -105,7 +105,7 @@ def test_glass_that_does_not_fit_the_corners_of_a_camera_is_refused():
     right, wrong = fit(scene, noise), fit(moved, pixel - fitted + noise)
     assert _growth(right, right) == pytest.approx(1.0)
     assert _growth(right, wrong) > MAX_GROWTH
-    assert _growth(wrong, right) == pytest.approx(1.0 / _growth(right, wrong), rel=0.05)
+    assert _growth(wrong, right) == 1.0
     joint = JointFit((), (), np.ones(1), np.ones((2, 1)), 1.2, growth=(1.0, _growth(right, wrong)))
     assert "residuals of camera 2" in joint.warning
     assert JointFit((), (), np.ones(1), np.ones((2, 1)), 1.2, growth=(1.0, 1.1)).warning == ""

@@ -11,15 +11,18 @@ from daq.bench.bench_file import load_bench
 from daq.bench.pairs_section import PairsSection
 from daq.cameras.frame import FrameMeta
 from daq.errors import FrameDoubt, PlanError, RunUsageError
-from daq.live.live_page import LivePage
+from daq.live import live_page
+from daq.live.live_page import RateLimiter
+from daq.live.run_shown import words_of
 from daq.plans.plan import load_plan
 from daq.plans.pulse_order import PulseOrder
 from daq.runner import flow_step, pair_writer
 from daq.runner.clock_calibration import Shot
 from daq.runner.flow_step import FlowStep
 from daq.runner.pair_source import Chunk, PairSource
+from daq.runner.progress import Progress
 from daq.runs.clock_map import clock_maps
-from daq.runs.frame_accounting import ELSEWHERE
+from daq.runs.frame_accounting import ELSEWHERE, FrameAccounting
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -80,15 +83,45 @@ def books(path):
     return [entry for entry in RunFolder.open(path).entries() if entry["kind"] == "chunk"]
 
 
+class Page:
+    """A page without a server."""
+
+    url, is_due = "http://127.0.0.1/", True
+
+    def __init__(self, most_bytes, port, scene, board):
+        self.scene, self.shown, self.rate_limiter = scene, [], RateLimiter()
+        PAGES.append(self)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    def say(self, text):
+        pass
+
+    def show(self, words, pictures):
+        self.shown.append((words, pictures["raw"].shape))
+
+
+PAGES = []
+
+
 @pytest.mark.parametrize("backend", ["harvesters", pytest.param("aravis", marks=pytest.mark.slow)])
-def test_what_either_loses_is_lost_for_both(tmp_path, capsys, backend):
+def test_what_either_loses_is_lost_for_both(tmp_path, capsys, monkeypatch, backend):
     if backend == "aravis":
         need_aravis()
+    monkeypatch.setattr(live_page, "LivePage", Page)
+    PAGES.clear()
     path = run(
-        tmp_path, pairs=16, chunk=8, backend=backend, faults="dropped: [5]", more="lost_at_most: 0.8\n",
+        tmp_path, live=True, pairs=16, chunk=8, backend=backend, faults="dropped: [5]", more="lost_at_most: 0.8\n",
         further=", faults: {dropped: [8], skipped: [12], first_skipped: 2}",
     )  # fmt: skip
     beside = judge(path, 16)
+    for page, name in zip(PAGES, ("", ", behind"), strict=True):
+        assert {words["run"].partition(":")[0] for words, _ in page.shown} == {path.name + name}
+        assert {shape for _, shape in page.shown} == {page.scene.camera.shape}
     lines = [books(path), books(beside)]
     for mine, its in zip(*lines, strict=True):
         assert (mine["fired"], mine["pairs"], mine["surplus"]) == (its["fired"], its["pairs"], its["surplus"])
@@ -111,22 +144,13 @@ def test_what_either_loses_is_lost_for_both(tmp_path, capsys, backend):
         check(path)
 
 
-def test_each_camera_has_a_page_and_both_lose_nothing_by_it(tmp_path, capsys, mocker):
-    pytest.importorskip("websockets")
-    shown = mocker.spy(LivePage, "show")
-    path = run(tmp_path, live=True, pairs=6, chunk=3, more="lost_at_most: 0.8\n", further=", faults: {dropped: [4]}")
-    judge(path, 6)
-    assert re.findall(r"^look at http://\S+ \((\w+)\)$", capsys.readouterr().out, re.MULTILINE) == ["camera", "behind"]
-    pages = {}
-    for call in shown.call_args_list:
-        page, words, pictures = call.args
-        pages.setdefault(id(page), []).append((words, pictures["raw"]))
-    first, beside = sorted(pages.values(), key=lambda seen: -seen[0][1].shape[1])
-    for seen, name, side in ((first, "", 0), (beside, ", behind", 16)):
-        assert {words["run"].partition(":")[0] for words, _ in seen} == {path.name + name}
-        assert {raw.shape[1] for _, raw in seen} == {first[0][1].shape[1] - side}
-    lost = [int(seen[-1][0]["counters"]["lost or incomplete"][0]) for seen in (first, beside)]
-    assert lost[0] < lost[1]  # each page its own camera's account
+def test_each_page_has_the_account_of_its_camera():
+    progress = Progress(frames=2)
+    progress.of("behind").accounting = FrameAccounting(triggered=3, missing=3)
+    progress.of("behind").waiting = (7, 0)
+    for camera, lost, waits in (("camera", ["0", False], ["0", False]), ("behind", ["3", True], ["7", True])):
+        counters = words_of(progress, camera)["counters"]
+        assert (counters["lost or incomplete"], counters["waiting for the disk"]) == (lost, waits)
 
 
 @pytest.mark.slow

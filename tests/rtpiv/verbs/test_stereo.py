@@ -5,19 +5,23 @@ The frames are made here, with a projection of their own: a pinhole at distance 
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 from scipy.io import netcdf_file
 
+from correction.light_sheet.two_cameras import SheetByViews
+from ground.terminal import console
 from piv.files.vector_file import read_vectors
 from rtpiv.analysis.series.joined_views import JoinedViews
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.example_files import examples
-from rtpiv.verbs.join import _is_one_run
+from rtpiv.verbs.join import _is_one_run, show_contradictions
 from tests.daq.cameras.rigs import need_harvesters
 from tests.piv.conftest import draw
+from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import load_scene
 
 SIDE, FOCAL_PX, DISTANCE_MM = 128, 1500.0, 300.0
@@ -94,6 +98,20 @@ def test_the_view_that_disagrees_is_named():
     assert joined_of((4.0, 3.9, 1.1, 4.2)).warning.endswith("without view 2 they agree")
     assert "without view" not in joined_of((4.0, 3.9, 3.1, 4.2)).warning
     assert "50 % is recovered: 20 % by view 1, 30 % by view 2" in " ".join(joined_of((1.1,)).sentences)
+
+
+def test_views_that_contradict_each_other_are_named(capsys):
+    paths, sure = [Path("left"), Path("right")], LightSheet(sigma_mm=0.02)
+
+    def said(known, z_mm=0.3, residual=1.2, moved=None):
+        found = SheetByViews(np.array([z_mm, 0.0, 0.0]), 1e-6 * np.eye(3), 0.02, residual, 100, moved, 0.1)
+        show_contradictions(console(), found, paths, known)
+        return " ".join(capsys.readouterr().out.split())
+
+    assert "the light sheet lies +0.300 +- 0.020 mm from where" in said(sure)
+    assert said(sure, z_mm=0.05) == said(LightSheet(sigma_mm=0.5)) == said(None) == ""
+    assert "0.020 mm apart (3.0 sigma)" in said(sure, z_mm=0.0, residual=3.0)
+    assert said(sure, moved=1).startswith("the camera of view 2 (right) was moved since it was calibrated")
 
 
 def test_cameras_of_one_run_are_at_the_same_time(tmp_path):
@@ -226,7 +244,7 @@ def test_a_flow_run_of_two_cameras_from_the_live_pages_to_its_report(tmp_path, m
     said = capsys.readouterr().out
     assert len(re.findall(r"^look at http.* \((?:camera|side)\)$", said, re.MULTILINE)) == 2
     assert "0 are lost" in said
-    (run,) = (tmp_path / "runs").glob("*_plan-flow")
+    (run,) = (tmp_path / "runs").glob("*_plan")
     assert main(["check", str(run)]) == DONE
     assert main(["report", str(run)]) == DONE
     said = " ".join(capsys.readouterr().out.split())

@@ -9,7 +9,7 @@ from benchmarks.views import scene_at
 from correction.grid import grid_of
 from correction.light_sheet.double_views import double_views
 from rtpiv.analysis.views.figures import NOISE_PX
-from rtpiv.analysis.views.two_cameras import LOCATION_PX, best_places, seen_twice, two_cameras
+from rtpiv.analysis.views.two_cameras import LOCATION_PX, best_places, double_view_forecast, two_cameras
 from rtpiv.command_line.cli import DONE, main
 from rtpiv.verbs.trace import trace
 from tracer.bodies import translate_by
@@ -57,7 +57,7 @@ def test_particles_seen_twice_tell_a_ball_as_far_as_rays_move():
     scene = scene_at("three", 0.0, 252)
     scene = scene.with_bodies([replace(ball, radius_mm=ball.radius_mm - 1e-3) for ball in scene.spheres])
     views = double_views(scene, step=6)
-    sigma, _ = seen_twice(scene, views)["sphere2"]
+    sigma, _ = double_view_forecast(scene, views)["sphere2"]
     rates = []
     for axis in range(3):
         step = np.zeros(3)
