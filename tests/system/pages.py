@@ -27,6 +27,7 @@ BED = "a bed of 22 balls takes minutes: run by hand, with the figures of the pag
 BY_HAND = "a board held by hand: tests/correction/lens/test_lens_fit.py has photographs"
 NOT_RUN = {  # commands that nothing here carries out, and why; all others are run as they stand
     "calibrate --join RUN RUN/cameras/side -o fit": CAMERAS,
+    "trace left.yaml --beside right.yaml": "tests/rtpiv/analysis/views/test_two_cameras.py",
     "mean --join RUN RUN/cameras/behind -o joined": STEREO,
     "acquire plan-flow.yaml --bench bench-flow.yaml --simulate --home --operator me": BENCH,
     "acquire plan-target.yaml --bench bench.yaml --simulate --home --operator me --no-correct": BED,
