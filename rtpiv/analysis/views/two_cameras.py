@@ -41,6 +41,8 @@ LOCATION_PX = 0.1  # of a particle's picture in a frame; a pair has two frames
 DEGREES = tuple(range(-30, 31, 5))  # of cameras on an arc about the y axis
 SHARE_STEP = 0.01  # by which shares must differ for one pair of places to be better
 RUN_PAIRS = 100
+SAID_BALLS = 6
+MAX_PLACES = 3000  # seen twice
 MAX_KNOCK_UM = 500.0  # least knock of a ball of which views know nothing
 Floats = NDArray[np.float64]
 Balls = dict[str, tuple[Floats, float]]
@@ -134,8 +136,11 @@ class TwoCameras:
 
 def ball_sentences(balls: Balls) -> list[str]:
     """Return how well pairs tell the places of balls, and which knock would be found, a line each."""
-    found = []
-    for name, (sigma, least) in balls.items():
+    best = sorted(balls.items(), key=lambda ball: ball[1][1])
+    found = (
+        [] if len(best) <= SAID_BALLS else [f"the places of {len(best)} balls are known by views, best those of"]
+    )
+    for name, (sigma, least) in best[:SAID_BALLS]:
         each, every = (", ".join(f"{um:.2g}" for um in sigma / many**0.5) for many in (1, RUN_PAIRS))
         found.append(
             f"{name}: one pair tells its place to ({each}) um, {RUN_PAIRS} pairs to ({every}) um, if nothing else"
@@ -205,12 +210,14 @@ def _with_balls(found: TwoCameras, plane: _Plane, one: _View, two: _View) -> Two
 def double_view_forecast(scene: Scene, views: DoubleViews) -> Balls:
     """Forecast the places of balls from particles that one camera shows twice, as `TwoCameras.balls`."""
     names = [ball.name for ball in scene.spheres]
+    every = max(1, len(views.kind) // MAX_PLACES)
+    views = views.at(np.arange(0, len(views.kind), every))
     one, two = (landings(scene, pixel) for pixel in (views.first_px, views.second_px))
     places = [f"{name}.{axis}" for name in names for axis in "xyz"]
     by_ball = two.columns(places) - one.columns(places)
     slope = (two.rate - one.rate)[:, :, TARGET.index("z") - len(TARGET)]
     location = _location_mm2(one.pixel_rate) + _location_mm2(two.pixel_rate)
-    return _balls(names, by_ball, slope, location, PER_PX * views.step**2)
+    return _balls(names, by_ball, slope, location, PER_PX * views.step**2 * every)
 
 
 def _location_mm2(per_px: Floats) -> Floats:
