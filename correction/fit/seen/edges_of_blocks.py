@@ -41,6 +41,7 @@ EVEN_GAIN = 2.0  # below this it is taken for undisturbed
 OUTSIDE_PX = 6.0
 INSIDE_PX = 3.0
 PIECE_PX = 6.0
+WHOLE_SHARE = 0.5  # of the pixels outside a piece, that the frame must hold
 # Of a side that can be fitted
 MIN_LENGTH_PX = 30.0
 MIN_PIXELS = 100
@@ -56,6 +57,9 @@ NOISE_BINS = 6
 WIDEST_BLUR_PX = 4.0
 NARROWEST_BLUR_PX = 0.3
 FIRST_BLUR_PX = 0.7
+KNEE = 3.0  # sigmas of a pixel
+DISTURBED, MOST_DISTURBED = 4.0, 0.15  # sigmas of a pixel outside a side, and share of these at most
+PATCH_PX = 24.0  # along a side, over which dirt and chips are alike
 MIN_STEP_SIGMAS = 10.0  # of the light at a side, from which it is seen
 
 
@@ -240,12 +244,15 @@ def _fine_line(
     """Two points s, t of the line of the light's step, and their sigma [px]; None if there is none."""
     for _ in range(3):  # pixels are chosen about the last line
         depth = strip.inward - line[0] - line[1] * strip.along
-        near = strip.take((depth > -OUTSIDE_PX) & (depth < inside_px))
-        if len(near.along) < MIN_PIXELS:
-            return None
-        middle, piece = float(near.along.mean()), (near.along // PIECE_PX).astype(int)
-        spread = float(near.along.std())
+        piece = (strip.along // PIECE_PX).astype(int)
         piece -= piece.min()
+        # Where the frame ends before the board beside the block is seen, its own border would pass for a side
+        whole = np.bincount(piece, (depth > -OUTSIDE_PX) & (depth < 0.0)) > WHOLE_SHARE * OUTSIDE_PX * PIECE_PX
+        chosen = (depth > -OUTSIDE_PX) & (depth < inside_px) & whole[piece]
+        near, piece = strip.take(chosen), piece[chosen]
+        if len(near.along) < MIN_PIXELS or float(np.ptp(near.along)) < MIN_LENGTH_PX:
+            return None
+        middle, spread = float(near.along.mean()), float(near.along.std())
 
         def residual(
             numbers: NDArray[np.float64], near: Strip = near, middle: float = middle, spread: float = spread,
@@ -262,7 +269,7 @@ def _fine_line(
         first, last = (line[0] + line[1] * (middle + sign * spread) for sign in (-1.0, 1.0))
         box = ((first - 3.0, last - 3.0, NARROWEST_BLUR_PX), (first + 3.0, last + 3.0, WIDEST_BLUR_PX))
         fit = scipy.optimize.least_squares(
-            residual, (first, last, FIRST_BLUR_PX), bounds=box, loss="soft_l1", f_scale=3.0
+            residual, (first, last, FIRST_BLUR_PX), bounds=box, loss="soft_l1", f_scale=KNEE
         )
         first, last, _ = fit.x
         line = (
@@ -271,12 +278,22 @@ def _fine_line(
         )
     left = residual(fit.x)
     undisturbed = (near.glass - near.bare) / near.sigma
+    depth, blur = near.inward - line[0] - line[1] * near.along, float(fit.x[2])
+    beyond = np.abs(undisturbed[depth < -2.0 * blur]) > DISTURBED
+    if beyond.size and beyond.mean() > MOST_DISTURBED:  # the view ends farther out in places
+        return None
     worth = float(undisturbed @ undisturbed - left @ left)
     factor = max(float(np.sqrt(np.mean(left**2))), 1.0)
     if worth < (MIN_STEP_SIGMAS * factor) ** 2:
         return None
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)[:2, :2]
-    sigma = factor * float(np.sqrt(np.diag(covariance).max()))
+    inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
+    # Dirt and chips are wider than pixels: what pieces of the side pull the line by, each as a whole (soft_l1)
+    pull = fit.jac * (left * (1.0 + (left / KNEE) ** 2) ** 0.25)[:, None]
+    patch = ((near.along - near.along.min()) // PATCH_PX).astype(int)
+    pulls = np.array([pull[patch == own].sum(axis=0) for own in range(patch.max() + 1)]) @ inverse
+    count = max(len(pulls), 4)
+    variance = np.maximum(factor**2 * np.diag(inverse), count / (count - 3) * (pulls**2).sum(axis=0))
+    sigma = float(np.sqrt(variance[:2].max()))
     if not sigma < 1.0:
         return None
     return [(middle - spread, float(first)), (middle + spread, float(last))], sigma
