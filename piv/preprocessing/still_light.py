@@ -60,7 +60,7 @@ LETTER_PX2 = 5  # side of a square, and pixels of a plateau that it must hold
 LETTER_PX, HALO_PX = 15, 7  # side of gaps between letters, and of what an edge reaches
 FLAT = 0.01  # of a pixel: by which plateaus differ that are resampled
 EQUAL = 0.1  # of a plateau's height: difference between both frames
-HALF = 0.5
+LEAST_KNOWN, HALF = 0.15, 0.5  # share of a line of writing that does not change
 RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
 LEAK_PX = 6  # off a mask: light of what it hides
@@ -343,7 +343,7 @@ def _find_writing(
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`.
 
-    `seen_at`: valid pixels, and those of which each line of writing has some.
+    `seen_at`: valid pixels, and those that hold a share of each line of writing.
     """
     import cv2
 
@@ -361,11 +361,11 @@ def _find_writing(
         return core
     # Digits that change stand beside those that do not.
     bright = ((either > least) & valid).view(np.uint8)
-    _, parts = cv2.connectedComponents(
+    number, parts = cv2.connectedComponents(
         cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((LETTER_PX, LETTER_PX), np.uint8))
     )
-    kept = np.zeros(int(parts.max()) + 1, bool)
-    kept[np.unique(parts[core])] = True
+    known_px, all_px = (np.bincount(parts[part], minlength=number) for part in (core, bright > 0))
+    kept = known_px > LEAST_KNOWN * all_px
     kept[0] = False
     # The darkest of 3 x 3 px stands at their middle.
     reach = np.ones((3 + HALO_PX - 1, 3 + HALO_PX - 1), np.uint8)
