@@ -46,16 +46,15 @@ def pytest_xdist_auto_num_workers() -> int:
 # Those that compile what another file asks for as well begin long before it: two processes would compile it twice.
 LONG = (
     "test_correction_map.py", "tracer/test_walls.py", "test_bed_sheets.py", "test_external_light.py",
-    "fit/test_plates.py", "cameras/test_contract.py", "live/test_page.py",
-    "test_culprits.py", "fit/test_rendered.py", "test_ended_programs.py",
-    "test_find_sheet.py", "test_laser_ends.py", "test_laser_trials.py", "test_environment.py",
-    "test_names_of_files.py", "test_board_search.py", "test_report.py", "test_any_byte.py",
-    "test_stop_signals.py", "test_run_series.py", "test_person_stops.py", "test_harvesters.py",
-    "test_photographs.py", "test_foreign_libraries.py", "test_flows.py", "test_init.py", "test_port.py",
-    "test_shells.py", "test_two_level_plate.py", "test_laser_verb.py", "stages/test_foreign.py",
-    "test_camera_lies.py", "test_names_and_limits.py", "test_stages.py", "test_causes.py", "test_watchdog.py",
-    "test_series_verbs.py", "test_what_the_system_refuses.py", "test_hard_scenes.py", "test_refusals.py",
-    "verbs/test_imports.py", "test_pair_shapes.py",
+    "fit/test_plates.py", "cameras/test_contract.py", "live/test_page.py", "test_culprits.py",
+    "fit/test_rendered.py", "test_ended_programs.py", "test_find_sheet.py", "test_laser_ends.py",
+    "test_laser_trials.py", "test_environment.py", "test_names_of_files.py", "test_board_search.py",
+    "test_report.py", "test_any_byte.py", "test_stop_signals.py", "test_run_series.py",
+    "test_person_stops.py", "test_harvesters.py", "test_photographs.py", "test_foreign_libraries.py",
+    "test_flows.py", "test_init.py", "test_port.py", "test_shells.py", "test_two_level_plate.py",
+    "test_laser_verb.py", "stages/test_foreign.py", "test_camera_lies.py", "test_names_and_limits.py",
+    "test_stages.py", "test_causes.py", "test_watchdog.py", "test_series_verbs.py", "test_hard_scenes.py",
+    "test_what_the_system_refuses.py", "test_refusals.py", "verbs/test_imports.py", "test_pair_shapes.py",
 )  # fmt: skip
 
 

@@ -4,8 +4,8 @@ Spheres come first: they have a table of their own, cells to look them up, and n
 from 0 up.  All other kinds of bodies stand in ``others``, one table a kind, and are asked one by one; their
 numbers go down from FIRST_OTHER, kind by kind.
 
-Which kinds a scene has is known by the TYPE of ``others``: kernels are compiled for the kinds in use, and for a
-scene of spheres ``others`` is the empty tuple, of which nothing is left in the machine code.  A kind is a
+Which kinds a scene has is known by the TYPE of ``others``: kernels are compiled for the kinds in use.  A scene of
+spheres has an empty table of rods, so that it shares them with one whose balls stand on rods.  A kind is a
 NamedTuple class of one array ``rows`` (N, ...), with its functions in KINDS (see `Kind`, and
 ``docs/add-a-body.md``).
 

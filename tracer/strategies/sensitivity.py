@@ -216,6 +216,10 @@ def landings_through(
     if uneven:
         names = _with_shapes(names, [called[number] for number in uneven])
         of_shapes = by_shape[:, :, uneven, EVEN:] @ to_polynomials()
-        before, of_target = np.split(rate, [-len(TARGET)], axis=2)
-        rate = np.concatenate((before, of_shapes.reshape(count, 2, COUNT * len(uneven)), of_target), axis=2)
+        parts = (
+            rate[:, :, : -len(TARGET)],
+            of_shapes.reshape(count, 2, COUNT * len(uneven)),
+            rate[:, :, -len(TARGET) :],
+        )
+        rate = np.concatenate(parts, axis=2)
     return Landings(status, key, point, by_pixel, rate, names)

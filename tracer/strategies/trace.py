@@ -144,8 +144,15 @@ class TraceResult:
 
 def pack_camera(camera: Camera) -> NDArray[np.float64]:
     """Pack a camera for the kernels (20,), see ``tracer.kernels.camera``."""
-    optics = camera.focal_px, *camera.principal_px, *camera.lens.terms()
-    return np.array([*camera.position_mm, *np.ravel(camera.rotation), *optics])
+    return np.array(
+        [
+            *camera.position_mm,
+            *np.ravel(camera.rotation),
+            camera.focal_px,
+            *camera.principal_px,
+            *camera.lens.terms(),
+        ]
+    )
 
 
 def trace(scene: Scene, pixels: ArrayLike) -> TraceResult:
