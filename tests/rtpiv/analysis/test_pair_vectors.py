@@ -166,6 +166,7 @@ def test_traced_vectors_are_a_list(tmp_path):
         read_vectors(tmp_path / "t.nc")
 
 
+@pytest.mark.slow  # three seconds to import both
 def test_xarray_and_pivpy_read_it(tmp_path, field):
     xarray = pytest.importorskip("xarray")
     write_vectors(tmp_path / "vectors.nc", of_pair(field, scene_hash="abc"))
