@@ -146,14 +146,11 @@ def resolution_of(
         Variance of a particle image.
     """
     random, noise = (np.nan_to_num(np.square(part).mean(axis=-1), nan=1.0) for part in (sigma_px, one_px))
-    saturation = 1.0 + 0.5 * noise / spread_px2
     of_noise = np.maximum(np.minimum(random, noise) - OF_FLOW * np.maximum(measured.square_px2, 0.0), 0.0)
-    followed = FOLLOWED / (saturation * np.sqrt(saturation)) * of_noise
+    followed = FOLLOWED * of_noise * (1.0 + 0.5 * noise / spread_px2) ** -1.5
     beyond = np.maximum(measured.square_px2 + followed - random, 0.0)
-    clear = np.square(np.square(beyond))
-    share = clear / np.maximum(clear + np.square(np.square(CLEAR_OF_CHANCE * measured.chance_px2)), 1e-30)
-    left = np.where(is_halved, 1.0, 1.0 - share)
-    return np.asarray(np.sqrt(left * np.square(modelled_px) + share * beyond))
+    share = 1.0 / (1.0 + (CLEAR_OF_CHANCE * measured.chance_px2 / np.maximum(beyond, 1e-12)) ** 4)
+    return np.asarray(np.sqrt(np.where(is_halved, 1.0, 1.0 - share) * np.square(modelled_px) + share * beyond))
 
 
 def _opposite(values: Singles) -> Singles:
