@@ -38,9 +38,8 @@ WEAK = 0.3  # of the usual slope of the rim: weaker ones are left out
 ASIDE = 6  # px on either side of a place that are compared with what would be seen without glass
 VOTE_PERCENTILE = 90.0  # percentile of slopes from which one vote is as good as another
 RADIUS_STEP_MM = 1e-3
-UNDISTURBED_FROM = (
-    1.05  # of the radius of a body behind a rim, from which on the view beside the rim is undisturbed
-)
+# Of the radius of a body behind a rim, from which on the view beside the rim is undisturbed
+UNDISTURBED_FROM = 1.05
 FRAME_MARGIN_PX = 3.0  # of the frame, where nothing is measured
 
 

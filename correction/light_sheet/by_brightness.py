@@ -37,14 +37,19 @@ from tracer.strategies.trace import RayStatus
 
 COMPARED_HEIGHTS = 9  # that are traced
 SPLINE_PLACES = 961  # over all of them, at which the sum is interpolated
-COMPARED_SPAN = 1.2  # thicknesses of the sheet to either side of the given height
-TRACED_PX = 800  # width of the frames for which the light is traced
-RAYS = 2  # along and down a pixel of those compared: edges of glass are sharper than pixels
+# Thicknesses of the sheet to either side of the given height
+COMPARED_SPAN = 1.2
+# Width of the frames for which the light is traced
+TRACED_PX = 800
+# Along and down a pixel of those compared: edges of glass are sharper than pixels
+RAYS = 2
 JACKKNIFE_BLOCKS = 4, 5  # of a frame, down and along
 SPOT_PX = 1.2  # standard deviation of a particle's image
 ELSEWHERE_SIGMAS = 3.0  # sigmas from which a sheet is said to lie elsewhere
-DARK_PIXEL = 0.02  # of the undisturbed sheet's: below it at all heights, a pixel is dark
-MODEL_SHARE = 0.0008  # of the light: true heights leave 0.0001 to 0.0007 more
+# Of the undisturbed sheet's: below it at all heights, a pixel is dark
+DARK_PIXEL = 0.02
+# Of the light: true heights leave 0.0001 to 0.0007 more
+MODEL_SHARE = 0.0008
 
 
 @dataclass(frozen=True)
@@ -112,10 +117,10 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     traced = []
     for z in heights.tolist():
         try:
-            traced.append(_brightness(replace(small, sheet=replace(sheet, z_mm=z)).in_light_sheet()))
+            lit = _brightness(replace(small, sheet=replace(sheet, z_mm=z)).in_light_sheet())
         except SceneError:  # no light there, or a body that no sheet may cross
             return None
-    traced = [_bin_pixels(field, RAYS) for field in traced]
+        traced.append(_bin_pixels(lit, RAYS))
     use = np.asarray(np.isfinite(traced).all(axis=0), np.bool_)
     blur = SPOT_PX / times / RAYS
     roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]

@@ -19,6 +19,7 @@ themselves say: one tenth of them after the other is left out (jackknife).
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import scipy
@@ -36,9 +37,8 @@ Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whe
 
 BLOCKS = 10
 BRIGHTEST = 12.0  # standard deviations of a glint; particles of 0.03 a px have 4 to 8, and cut ones look flat
-EVENED_PX = (
-    25  # side of the square whose standard deviation counts: of 5, single particles weigh their own place down
-)
+# Side of the square whose standard deviation counts: of 5, single particles weigh their own place down
+EVENED_PX = 25
 CLEAR_PEAK_SIGMAS = 8.0  # standard deviations, from ten blocks, that the best of thirty places must stand out by
 ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
 MIN_VALID_SHARE = 0.25  # of the heights and lags looked at
@@ -64,11 +64,8 @@ class Light:
         count = 0
         for pair in pairs():
             frames = [frame.astype(np.float64) for frame in pair]
-            if not total:
-                total = [np.zeros_like(frames[0]) for _ in range(4)]
-            for pulse, frame in enumerate(frames):
-                total[pulse] += frame
-                total[2 + pulse] += frame * frame
+            sums = [*frames, *map(np.square, frames)]
+            total = [one + more for one, more in zip(total, sums, strict=True)] if total else sums
             count += 1
         if count < fewest:
             raise SheetError(f"{count} pairs of frames do not tell {question}; give {fewest} or more, best 50")
@@ -183,15 +180,10 @@ def disparities(
         return number * BLOCKS // count, out
 
     with ThreadPoolExecutor(thread_count()) as pool:
-        batch: list[tuple[int, int, NDArray[np.float32]]] = []
-        for number, pair in enumerate(pairs()):
-            batch += [(number, pulse, frame) for pulse, frame in enumerate(pair)]
-            if len(batch) >= 2 * thread_count():
-                for block, found in pool.map(products, batch):
-                    planes[block] += found
-                batch = []
-        for block, found in pool.map(products, batch):
-            planes[block] += found
+        tasks = ((number, pulse, pair[pulse]) for number, pair in enumerate(pairs()) for pulse in (0, 1))
+        while batch := list(islice(tasks, 2 * thread_count())):  # no more frames in memory than are worked on
+            for block, found in pool.map(products, batch):
+                planes[block] += found
     places = np.bincount(cell, minlength=cells)
     planes /= np.maximum(places, 1)[None, :, None, None]
     return _match_planes(scene, views, cell, weights[0] + weights[1], planes, reach_mm)

@@ -74,9 +74,8 @@ FIELDS: dict[str, tuple[str, tuple[int, ...], float]] = {  # kind, components, a
     "transmittance": ("<f4", (), 0.0),
 }
 STORED_BYTES = 3.0  # on the disk, a node and view: 1.6 to 1.9 of sensors of 1008 px
-FINE_STEP_WIDTH_PX = (
-    32000  # sensors whose pixels a step of 2^-16 holds in 32 bits; those of wider ones are coarser
-)
+# Sensors whose pixels a step of 2^-16 holds in 32 bits; those of wider ones are coarser
+FINE_STEP_WIDTH_PX = 32000
 
 
 def storage_steps(sensor_px: Sequence[int]) -> dict[str, float]:

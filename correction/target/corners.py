@@ -22,9 +22,8 @@ from ground.rows import run_rows
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 
-ARM_LENGTH = (
-    0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
-)
+# Half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
+ARM_LENGTH = 0.45
 MIN_HALF_WINDOW_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
 DRAWN = 256  # corners drawn at a time: some 8 MB
 WINDOW_GAP_PX = 3.0  # of a drawn corner's window from those of the next

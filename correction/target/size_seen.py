@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from correction.target.chessboard import Chessboard
 
-MAX_SIZE_RANGE = (
-    0.15  # of the size, from the smallest tenth to the largest: noise, tilt and lens leave less, a ball more
-)
+# Of the size, from the smallest tenth to the largest: noise, tilt and lens leave less, a ball more
+MAX_SIZE_RANGE = 0.15
 TENTHS, TENTHS_APART = (10.0, 90.0), 2.563  # per cent, and standard deviations of a normal one between them
 OF_MEDIAN, SURE = 1.25, 3.0  # sigmas of a median in those of a mean; that count as sure
 MIN_SIZED_CORNERS = 20  # that show a size: few of them may lie in a corner of the view, or on something else

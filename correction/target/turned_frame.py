@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 SHRUNK_PX = 2  # pixels averaged, along either side: noise is less, edges of squares stay
 TILE_PX = 24  # of a shrunk frame: where glass is, frames differ anyhow
-SAME_TILE_CORRELATION = (
-    0.9  # correlation coefficient of tiles that show the same; a lattice that lies elsewhere has less
-)
+# Correlation coefficient of tiles that show the same; a lattice that lies elsewhere has less
+SAME_TILE_CORRELATION = 0.9
 LEAST, CLEARLY = 0.1, 3.0  # share of tiles that are alike once a frame is turned; times that of the frame as it is
 
 

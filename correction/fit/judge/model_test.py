@@ -26,9 +26,8 @@ import scipy
 from numpy.typing import NDArray
 
 MODEL_FALSE_ALARMS = 0.01  # chance that a right lab raises any alarm
-SMOOTH_SHARE = (
-    0.1  # of a corner's squares that may be smooth though the model is right; rendered frames show 0.00-0.04
-)
+# Of a corner's squares that may be smooth though the model is right; rendered frames show 0.00-0.04
+SMOOTH_SHARE = 0.1
 RESIDUAL_CLIP = 5.0  # sigmas
 SmoothPart = tuple[NDArray[np.float64], NDArray[np.int64]]
 DEGREES = ((6, 112), (4, 60), (3, 40), (2, 24), (1, 12))  # of the polynomials, from so many corners of a view

@@ -29,9 +29,8 @@ from correction.target import Chessboard
 from tracer.strategies.branches import branch_of
 from tracer.strategies.sensitivity import SPHERE
 
-MIN_EXPLAINED_SHARE = (
-    0.5  # share of the corners to be seen through a sphere, measured and explained, from which it is not lost
-)
+# Share of the corners to be seen through a sphere, measured and explained, from which it is not lost
+MIN_EXPLAINED_SHARE = 0.5
 SHARP_PX = 0.4  # saddles are good to 0.1-0.3 corrected px
 KNEES_PX = (6.0, 6.0, 3.0, 3.0, 1.0, 1.0, 0.5, 0.5)  # of the loss, step by step
 LEFT = (1.0, 0.4, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0)  # share of the places that go on after each step, the cheaper ones

@@ -42,9 +42,8 @@ OWN = 0.2  # and this share of all along its outline: what else is hidden there 
 MIN_LATTICE_CORNERS = 50  # corners of the lattice that must be seen or hidden
 OUTLINE_SIGMAS = 3.0  # sigmas from which a move is more than chance
 SAME = 0.1  # squares: a saddle so near to a corner of its kind is that corner
-OUTLINE_DEPTH_SIGMA_MM = (
-    4.0  # what the outlines may be off in depth whatever their sigma: rims blur, and hide less or more
-)
+# What the outlines may be off in depth whatever their sigma: rims blur, and hide less or more
+OUTLINE_DEPTH_SIGMA_MM = 4.0
 
 
 @dataclass(frozen=True)

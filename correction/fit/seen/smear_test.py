@@ -40,9 +40,8 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, Landings
 LAMP_K = 4000.0
 COLOURS = 12
 MIN_SMEAR = 0.1  # of the white lamp's variance; rendered frames in one colour show up to 0.04
-UNCERTAIN = (
-    0.15  # of what edges take up of the specified light: rendered frames in specified light show up to 0.13
-)
+# Of what edges take up of the specified light: rendered frames in specified light show up to 0.13
+UNCERTAIN = 0.15
 SMEAR_SIGMAS = 4.0  # sigmas
 UNSEEN_SIGMAS = 2.0  # sigmas that a light may be off by without being seen
 NEIGHBOUR_FACTOR = 2.0  # neighbours err alike: what a sigma counts more than that of independent corners
