@@ -89,6 +89,11 @@ def alarm_t2(pairs: int, size: int, candidates: int) -> float:
     return float(ratio * freedom * size / left)
 
 
+def weakest_sigma(covariance: Floats) -> float:
+    """Return the standard deviation of a move along the first two numbers, in its least sure direction."""
+    return float(np.linalg.eigvalsh(np.linalg.inv(covariance)[:2, :2])[0] ** -0.5)
+
+
 def least_move(covariance: Floats, pairs: int, first: int, candidates: int) -> float:
     """Return the least move along the first two numbers that half of such runs show, whatever its direction.
 
@@ -102,9 +107,8 @@ def least_move(covariance: Floats, pairs: int, first: int, candidates: int) -> f
         That are tested.
     """
     before, after = (min(count, MEAN_PAIRS) for count in (first, pairs - first))
-    weakest = float(np.linalg.eigvalsh(np.linalg.inv(covariance)[:2, :2])[0])
     share = 1.0 / before + 1.0 / after
-    return float(np.sqrt(alarm_t2(pairs, len(covariance), candidates) * share / weakest))
+    return float(np.sqrt(alarm_t2(pairs, len(covariance), candidates) * share)) * weakest_sigma(covariance)
 
 
 def least_knocks(

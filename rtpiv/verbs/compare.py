@@ -138,7 +138,7 @@ def _search_places(screen: Console, scene: Scene, folder: Path) -> None:
     found = best_places(scene)
     rows = [
         (f"{one:+d}, {two:+d}", percent(pair.union), percent(pair.with_w), f"{pair.sigma_w_px:.3f}",
-         f"{max((least for _, least in pair.balls.values()), default=math.nan):.0f}")
+         f"{max(pair.least_um.values(), default=math.nan):.0f}")
         for pair in found[:SHOWN_PAIRS] for one, two in [pair.degrees]
     ]  # fmt: skip
     title = f"two cameras before arrangement 1; w to {MAX_SIGMA_W_PX:g} px a pair, a knock among {RUN_PAIRS} pairs"

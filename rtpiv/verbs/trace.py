@@ -24,7 +24,7 @@ from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, percent, plane_share
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
 from rtpiv.analysis.views.sigma_forecast import CentreSigma, packing_forecast
-from rtpiv.analysis.views.two_cameras import ball_sentences, double_view_forecast, two_cameras
+from rtpiv.analysis.views.two_cameras import double_view_forecast, sentences_of, two_cameras
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
 from rtpiv.verbs.show import say_through
@@ -246,7 +246,7 @@ def _sheet_forecast(
         return None, []
     views = double_views(lit, ray_map if lit is shown else None, SHEET_STEP)
     forecast = sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
-    return forecast, ball_sentences(double_view_forecast(lit, views.at(views.free(AROUND))))
+    return forecast, sentences_of(double_view_forecast(lit, views.at(views.free(AROUND))))
 
 
 def _plane_table(title: str, share: PlaneShare) -> Table:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid, grid_of
@@ -27,8 +28,8 @@ from correction.light_sheet.double_views import DoubleViews
 from correction.light_sheet.forecast import PER_PX, SPREAD_MM
 from correction.maps.correction_map import build_correction_map
 from correction.maps.slant import ray_slopes
-from correction.self_check.knocks import least_move
-from correction.self_check.moved_sphere import MOVE_PRIOR_MM
+from correction.self_check.knocks import least_move, weakest_sigma
+from correction.self_check.moved_sphere import FLOOR_MM, MOVE_FALSE_ALARMS, MOVE_PRIOR_MM
 from piv.statistics.three_components import MAX_SIGMA_W_PX
 from rtpiv.analysis.through_glass import COMPARED_WIDTH_PX, behind, coarsen_scene, hiding, percent
 from rtpiv.analysis.views.figures import NOISE_PX
@@ -43,9 +44,9 @@ SHARE_STEP = 0.01  # by which shares must differ for one pair of places to be be
 RUN_PAIRS = 100
 SAID_BALLS = 6
 MAX_PLACES = 3000  # seen twice
-MAX_KNOCK_UM = 500.0  # least knock of a ball of which views know nothing
+MAX_SIGMA_MM = 0.1  # by one pair, of a ball of which views tell
 Floats = NDArray[np.float64]
-Balls = dict[str, tuple[Floats, float]]
+Balls = dict[str, Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +115,7 @@ class TwoCameras:
     sigma_w_px : float
         Median of a pair's w where it is reported [corrected px]; NaN if nowhere.
     balls : dict
-        For each ball of which views tell, standard deviations along x, y, z of its place by one pair [um], and the
-        least knock sideways that half of all runs show in the middle of `RUN_PAIRS` pairs.
+        For each ball of which views tell, covariance (3, 3) of its place by one pair [mm^2].
     """
 
     degrees: tuple[float, float]
@@ -131,22 +131,45 @@ class TwoCameras:
             f"two cameras: {percent(self.union)} of what the glass hides from the first is recovered,"
             f" {percent(self.with_w)} with w, which a pair tells to {self.sigma_w_px:.3f} px (median)"
         ]
-        return [*found, *ball_sentences(self.balls)]
+        for name, least in self.least_um.items():
+            found.append(
+                f"{name}: {_places(self.balls[name])}, if nothing else moves; a knock in the middle of {RUN_PAIRS}"
+                f" is found from {least:.2g} um on"
+            )
+        return found
+
+    @property
+    def least_um(self) -> dict[str, float]:
+        """Least knock sideways of each ball that half of all runs show in the middle of `RUN_PAIRS` pairs."""
+        moving = len(self.balls) + 3  # beside both cameras and the sheet
+        return {
+            name: 1e3 * least_move(covariance, RUN_PAIRS, RUN_PAIRS // 2, moving)
+            for name, covariance in self.balls.items()
+        }
 
 
-def ball_sentences(balls: Balls) -> list[str]:
-    """Return how well pairs tell the places of balls, and which knock would be found, a line each."""
-    best = sorted(balls.items(), key=lambda ball: ball[1][1])
-    found = (
-        [] if len(best) <= SAID_BALLS else [f"the places of {len(best)} balls are known by views, best those of"]
+def sentences_of(balls: Balls) -> list[str]:
+    """Return how well particles that one camera shows twice tell the places of balls, a line each, best first.
+
+    A move counts beside what calibration leaves unsure, by the test of `correction.self_check.moved_sphere`.
+    """
+    found = list[tuple[float, str]]()
+    for name, covariance in balls.items():
+        whole = covariance / RUN_PAIRS + np.diag(np.square(FLOOR_MM))
+        ratio = scipy.special.fdtri(3, RUN_PAIRS - 3, 1.0 - MOVE_FALSE_ALARMS / len(balls))
+        least = 1e3 * weakest_sigma(whole) * float(np.sqrt(3.0 * (RUN_PAIRS - 1) / (RUN_PAIRS - 3) * ratio))
+        said = f"{name}: {_places(covariance, FLOOR_MM)}; a move since its calibration is found from"
+        found.append((least, f"{said} {least:.2g} um on"))
+    return [said for _, said in sorted(found)[:SAID_BALLS]]
+
+
+def _places(covariance: Floats, floor_mm: Floats | float = 0.0) -> str:
+    """How well one pair, and `RUN_PAIRS`, tell a place."""
+    each, every = (
+        ", ".join(f"{um:.2g}" for um in 1e3 * np.sqrt(np.diag(covariance) / count + np.square(floor_mm)))
+        for count in (1, RUN_PAIRS)
     )
-    for name, (sigma, least) in best[:SAID_BALLS]:
-        each, every = (", ".join(f"{um:.2g}" for um in sigma / many**0.5) for many in (1, RUN_PAIRS))
-        found.append(
-            f"{name}: one pair tells its place to ({each}) um, {RUN_PAIRS} pairs to ({every}) um, if nothing else"
-            f" moves; a knock in the middle of them is found from {least:.2g} um on"
-        )
-    return found
+    return f"one pair tells its place to ({each}) um, {RUN_PAIRS} pairs to ({every}) um"
 
 
 def two_cameras(first: Scene, second: Scene) -> TwoCameras:
@@ -235,8 +258,6 @@ def _balls(names: Sequence[str], by_ball: Floats, slope: Floats, location_mm2: F
         weight = np.linalg.inv(covariance[known])
         normal = particles * np.einsum("nij,nik,nkl->jl", rate[known], weight, rate[known])
         of_place = np.asarray(np.linalg.inv(normal + np.eye(3) / MOVE_PRIOR_MM**2), np.float64)
-        # Beside all balls, both cameras and the sheet.
-        least = least_move(of_place, RUN_PAIRS, RUN_PAIRS // 2, len(names) + 3)
-        if 1e3 * least < MAX_KNOCK_UM:
-            balls[name] = 1e3 * np.sqrt(np.diag(of_place)), 1e3 * least
+        if weakest_sigma(of_place) < MAX_SIGMA_MM:
+            balls[name] = of_place
     return balls

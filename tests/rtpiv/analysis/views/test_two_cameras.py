@@ -9,7 +9,13 @@ from benchmarks.views import scene_at
 from correction.grid import grid_of
 from correction.light_sheet.double_views import double_views
 from rtpiv.analysis.views.figures import NOISE_PX
-from rtpiv.analysis.views.two_cameras import LOCATION_PX, best_places, double_view_forecast, two_cameras
+from rtpiv.analysis.views.two_cameras import (
+    LOCATION_PX,
+    best_places,
+    double_view_forecast,
+    sentences_of,
+    two_cameras,
+)
 from rtpiv.command_line.cli import DONE, main
 from rtpiv.verbs.trace import trace
 from tracer.bodies import translate_by
@@ -37,10 +43,11 @@ def test_two_balls_are_as_they_were_measured():
     assert found.union == pytest.approx(1.0, abs=0.01)
     assert 0.6 < found.with_w < 0.8
     assert 0.12 < found.sigma_w_px < 0.2
-    for sigma, least in found.balls.values():
+    for name, least in found.least_um.items():
+        sigma = 1e3 * np.sqrt(np.diag(found.balls[name]))
         assert 1.5 < sigma[:2].min() <= sigma[:2].max() < 5.0
         assert 2.0 * sigma[:2].max() < least < 4.0 * sigma[:2].max()
-    assert "a knock in the middle of them is found from" in found.sentences[1]
+    assert "a knock in the middle of 100 is found from" in found.sentences[1]
 
 
 def test_the_best_places_beat_the_others():
@@ -57,7 +64,9 @@ def test_particles_seen_twice_tell_a_ball_as_far_as_rays_move():
     scene = scene_at("three", 0.0, 252)
     scene = scene.with_bodies([replace(ball, radius_mm=ball.radius_mm - 1e-3) for ball in scene.spheres])
     views = double_views(scene, step=6)
-    sigma, _ = double_view_forecast(scene, views)["sphere2"]
+    found = double_view_forecast(scene, views)
+    assert "a move since its calibration is found from" in " ".join(sentences_of(found))
+    sigma = 1e3 * np.sqrt(np.diag(found["sphere2"]))
     rates = []
     for axis in range(3):
         step = np.zeros(3)
