@@ -164,7 +164,7 @@ def sentences_of(balls: Balls) -> list[str]:
 
 
 def _places(covariance: Floats, floor_mm: Floats | float = 0.0) -> str:
-    """How well one pair, and `RUN_PAIRS`, tell a place."""
+    """Return the uncertainty of a place by one pair, and by `RUN_PAIRS`, in words."""
     each, every = (
         ", ".join(f"{um:.2g}" for um in 1e3 * np.sqrt(np.diag(covariance) / count + np.square(floor_mm)))
         for count in (1, RUN_PAIRS)
