@@ -11,7 +11,9 @@ Each step of `judge_vectors` needs those before it:
    shows (`finer_waves`), which neither has seen;
 4. resolution as it is measured (`agreement`): it replaces the model as far as it is significant, and adds to what
    halving has shown, which knows nothing of noise that vectors follow;
-5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel;
+5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel. What is uncertain
+   by then as a search of whole pixels is, and that the sooner the more of its neighbours were rejected, is no
+   measurement (`_is_uncertain`);
 6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it;
 7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so the total grows.
 
@@ -22,6 +24,7 @@ Of the resolution `steady_px` is the part that is the same in every pair of a st
 from functools import partial
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from piv.correlation.agreement import LEAST_BLOCKS, measure_agreement, resolution_of
@@ -60,6 +63,10 @@ from piv.errors import PairError
 MIN_MATCH_SHARE = 0.25  # of a window's light
 MAX_MISMATCH_PX = 0.25  # and the error that the rest may cause
 MAX_NOISE_PX = 0.5  # of one correlation: with more, a peak at a whole pixel (0.58 px) is no worse
+# Uncertainty of a vector; with more, a whole pixel (0.58 px) says as much, and as a share of its length
+MAX_TOTAL_PX = 0.6
+MAX_TOTAL_SHARE = 0.2
+REJECTED_NEAR, NEIGHBOURS = 3.0, 5  # growth of it by the share of rejected vectors among 5 x 5
 MATCH_SIDE = 1.5  # in last windows: side of the area around an uncertain vector that must match
 BEYOND_CUT = 0.5, 0.3, 0.3  # share of the cut where the flow goes on behind a mask: of a pair, of what pairs share
 RIM_CUT = 0.35  # share of the cut that counts where a rim is clean: errors near walls are then 0.8 to 1.2 sigma
@@ -119,12 +126,14 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         parts[0] = resolution_of(measured, parts[0], is_halved, sigma, noise, spread_px2)
         # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
         parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
+        dense = found.valid_fraction >= settings.min_valid
+        good = good & ~_is_uncertain(vectors, np.hypot(parts[0], _rms(sigma)), good, dense)
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of
         # them: part of the cut counts.
         seen, given = course.frames.valid, course.frames.given
         around = seen if given is None else seen + np.float32(RIM_CUT) * (given - seen)
         is_rough = settings.denoise == 0.0  # noise is still in the vectors
-        rough = np.nan_to_num(np.sqrt(np.square(sigma).mean(axis=-1))) if is_rough else None
+        rough = np.nan_to_num(_rms(sigma)) if is_rough else None
         cuts = (cut_px(final, around, grid, side, settings.window_sigma, rough) for side in sizes.sides_px)
         cut = np.broadcast_to(sizes.pick(list(cuts)), parts.shape)
         if settings.flow_beyond_mask:
@@ -210,6 +219,24 @@ def _is_mostly_unmatched(found: Measured, good: NDArray[np.bool_]) -> NDArray[np
     return np.asarray(little & (apart_px > MAX_MISMATCH_PX))
 
 
+def _is_uncertain(
+    vectors: Floats, total_px: Floats, good: NDArray[np.bool_], asked: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Windows (ny, nx) whose vector is hardly known by its uncertainty, beside rejected ones the sooner."""
+    around = (NEIGHBOURS, NEIGHBOURS)
+    rejected, all_near = (
+        scipy.ndimage.uniform_filter(np.asarray(part, np.float64), around, mode="nearest")
+        for part in (asked & ~good, asked)
+    )
+    most_px = np.maximum(MAX_TOTAL_PX, MAX_TOTAL_SHARE * np.linalg.norm(vectors, axis=-1))
+    return np.asarray(total_px * (1.0 + REJECTED_NEAR * rejected / np.maximum(all_near, 1e-9)) > most_px)
+
+
+def _rms(components: Floats) -> Floats:
+    """Root mean square (ny, nx) of both components."""
+    return np.asarray(np.sqrt(np.square(components).mean(axis=-1)))
+
+
 def _remove_noise(
     course: MultipassState, sizes: Sizes, good: NDArray[np.bool_], sigma: Floats, added: int
 ) -> tuple[Floats, Denoised]:
@@ -224,7 +251,7 @@ def _remove_noise(
             for side, between in passes
         ]
         growths.append(np.array(of_side)[sizes.which])
-    before = np.sqrt(np.square(sigma).mean(axis=-1)) * growths[0]
+    before = _rms(sigma) * growths[0]
     if not levels:
         return before, Denoised(vectors, sigma * growths[0][..., None], np.zeros(good.shape))
     return before, remove_noise(vectors, good, sigma, growths[1:], levels, settings.denoise)
