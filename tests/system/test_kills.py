@@ -246,4 +246,3 @@ def test_kills(tmp_path, kind, victim):
             assert len(corrected) == len(frames)
         checked = check_run(run.path)
         assert checked.is_sound, checked.findings
-    print(f"{kind}, {victim}: {kills} kills in {seed} runs")
