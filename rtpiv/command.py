@@ -6,7 +6,8 @@ import os
 import signal
 import sys
 
-GARBAGE = 50_000  # new objects before Python looks for rings among them; modules and kernels bring five times that
+# New objects before Python looks for rings among them; modules and kernels bring five times that
+GARBAGE = 50_000
 NO_DEVICES = (  # verbs that open none, whose libraries might have an end of their own
     "init",
     "setup",

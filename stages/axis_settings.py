@@ -10,7 +10,8 @@ from stages.errors import StageUsageError
 from stages.profile import Approach, Positive
 
 LONGEST_TOLERANCE_UM = 10.0  # of a motor
-ROUNDING_UM = 1e-6  # of the difference of two places with a few decimals: 1.0 and 0.99 differ by at most 10 um
+# Of the difference of two places with a few decimals: 1.0 and 0.99 differ by at most 10 um
+ROUNDING_UM = 1e-6
 LONGEST_BY_HAND_UM = 500.0  # a ruler is read to a tenth of a millimetre or two
 
 

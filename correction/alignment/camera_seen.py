@@ -31,7 +31,8 @@ from tracer.scene.scene import Scene
 
 CORNER_PX = 0.05  # standard deviation of a corner, most of it the same for neighbours
 BOARD_CORNERS = 500  # corners
-EDGE_ARM = 0.1  # squares, half width of what is fitted of their edges: wider ones hold little but bright and dark
+# Squares, half width of what is fitted of their edges: wider ones hold little but bright and dark
+EDGE_ARM = 0.1
 VOTING = 200  # corners of a patch that say where in the board it lies
 MIN_BOARD_CORNERS = 40
 FRAME_ROUNDS = 6

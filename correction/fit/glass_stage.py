@@ -36,7 +36,8 @@ from tracer.strategies.sensitivity import SPHERE
 
 MIN_SADDLE_RATIO = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
 MIN_GLASS_CORNERS = 12  # corners behind glass from which a fit may begin
-ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
+# A ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
+ASIDE_MM = 1.0
 FOLLOW = 1.0
 STRAY_DEPTH_SIGMA_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 MIN_PAIRED_SHARE = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
@@ -47,7 +48,8 @@ STAYS_MM = 0.02
 # Times, that corners of others may fit worse than before, and its own than others
 WORSE = 1.2
 OWN_WORSE = 3.0
-FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
+# Of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
+FEW_LOST = 0.5
 # How far edges of blocks are looked for, at first and again
 SEARCH_PX = 80.0
 REFINE_PX = 4.0

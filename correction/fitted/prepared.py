@@ -33,7 +33,8 @@ from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 
-STORED = 16  # maps in a folder: of one scene some glass positions and light sheets, not of all scenes ever fitted
+# Maps in a folder: of one scene some glass positions and light sheets, not of all scenes ever fitted
+STORED = 16
 KEPT = 2  # through the glass and without it: 0.3 GB each at 4 million pixels
 
 

@@ -36,11 +36,13 @@ Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whenever it is called
 
 BLOCKS = 10
-BRIGHTEST = 12.0  # standard deviations of a glint; particles of 0.03 a px have 4 to 8, and cut ones look flat
+# Standard deviations of a glint; particles of 0.03 a px have 4 to 8, and cut ones look flat
+BRIGHTEST = 12.0
 # Side of the square whose standard deviation counts: of 5, single particles weigh their own place down
 EVENED_PX = 25
 CLEAR_PEAK_SIGMAS = 8.0  # standard deviations, from ten blocks, that the best of thirty places must stand out by
-ALONE = 20.0  # the same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
+# The same of a cell that is matched alone: noise draws it by 1 / 400 of the width of its peak
+ALONE = 20.0
 MIN_VALID_SHARE = 0.25  # of the heights and lags looked at
 LONG_MM = 2.0  # height for a lag, from which on heights of cells are near enough for one step
 HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`

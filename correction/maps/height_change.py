@@ -29,7 +29,8 @@ from piv.correlation.windows import WindowGrid
 from tracer.scene.scene import Scene
 
 PEAK_PX = 0.4  # standard deviation of the peak that a window of the corrected frame follows
-UNSURE = 0.3  # of the rms of what pulls within a window: left as error where the light has steps, 0.02 px of 0.06
+# Of the rms of what pulls within a window: left as error where the light has steps, 0.02 px of 0.06
+UNSURE = 0.3
 Floats = NDArray[np.float64]
 
 

@@ -31,7 +31,8 @@ from piv.correlation.windows import WindowGrid
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import trace
 
-SLOPE_NODE_STEP = 4  # nodes between those whose rays are traced for vectors: a window holds eight along each axis
+# Nodes between those whose rays are traced for vectors: a window holds eight along each axis
+SLOPE_NODE_STEP = 4
 Floats = NDArray[np.float64]
 
 

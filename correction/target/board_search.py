@@ -48,7 +48,8 @@ Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 HALF_SQUARE = 0.5  # squares
 NEAR_MARKS, ENOUGH = 3, 300  # squares around the origin with all of its marks; corners that show a smooth view
 MOST_TURN_DEG = 45.0  # of the board in its plane: beyond, another quarter turn of it is as likely
-SCALES = 0.7, 1.4  # of the view near the discs against its prediction: a ball shows them twice as large, or turned
+# Of the view near the discs against its prediction: a ball shows them twice as large, or turned
+SCALES = 0.7, 1.4
 SATURATED = 0.02  # fraction of pixels at full scale from which bright squares are seen widened
 FAR_SQUARES = 512  # half side of the largest board looked at
 

@@ -35,7 +35,8 @@ LEAST_PAIRED = 0.5  # of the frames of a scheme: others have lost their partner
 FEW_STRAYS = 0.2  # of all frames of a folder at most, such as frames of the target
 MARK_DIGITS = 2  # of a number that tells first from second frame at most; a longer one counts
 JITTER = 0.2  # of the usual time between frames, in names that are times
-APART = 3  # times as long between pairs as within them, at least, where the gaps between numbers say it
+# Times as long between pairs as within them, at least, where the gaps between numbers say it
+APART = 3
 # With a decimal point, comma or p, and an exponent; + or - is a sign in front, and behind _ or = (t_-0012)
 _NUMBER = re.compile(r"(?:(?<![^_=])[+-])?\d+(?:[.,p]\d+(?![\d.,p]))?(?:[eE][+-]\d\d?(?!\d))?")
 _DECIMAL = re.compile(r"([+-]?\d+)[.,p](\d+)(.*)")

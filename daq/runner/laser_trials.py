@@ -33,7 +33,8 @@ from stages.errors import StageError
 BURSTS = (1, 7, 20)
 FOUND_BY, OTHERS = 3, 5  # pulses of this plug alone, and of all others
 OFF_S = 0.3  # behind the word, after which no pulse may begin
-SLOW_S = 0.2  # more than that between the word and the end of OFF_S: the computer was too busy to time it
+# More than that between the word and the end of OFF_S: the computer was too busy to time it
+SLOW_S = 0.2
 CONFIRMED_S = 5.0  # until a box reads back as off
 LIT_S = 1.0  # of a burst before it is switched off; of lamps
 CABLE_S = 10.0  # longest burst in which a person can pull a cable

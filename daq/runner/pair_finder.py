@@ -46,7 +46,8 @@ OTHER_PULSE = 0.9  # of a period: what is farther apart than that shows another 
 STRADDLING = 0.6  # evenly spaced frames are half a period apart
 # by which the gap of a pair may differ from the settings, and a share of it
 GAP_OFF_NS, GAP_OFF = 100_000, 0.01
-ENOUGH = 3  # chunks that end with an A, more than those that end with a B, before a run is ended because of it
+# Chunks that end with an A, more than those that end with a B, before a run is ended because of it
+ENOUGH = 3
 BLOCK = 20  # pairs
 SIGN_STANDARD_ERRORS = 8.0  # standard errors from which on a difference has a sign
 EVERY = 8  # row and column of a frame that its mean is taken of

@@ -35,7 +35,8 @@ from enum import Enum
 from daq.cameras.frame import FrameMeta
 from daq.runner.clock_calibration import DRIFT, ClockCalibration, Shot
 
-CONFIRMED = 3.0  # times our timeout; over that even stamps in another unit would have contradicted each other
+# Times our timeout; over that even stamps in another unit would have contradicted each other
+CONFIRMED = 3.0
 MAX_CLOCK_TRIALS = 3  # after which a clock is none that has not agreed with us for a while
 AGREED_NS = 60_000_000_000
 UNCONFIRMED = "nothing has confirmed that the first frame was exposed for its trigger"

@@ -69,7 +69,8 @@ MAX_TOTAL_SHARE = 0.2
 REJECTED_NEAR, NEIGHBOURS = 3.0, 5  # growth of it by the share of rejected vectors among 5 x 5
 MATCH_SIDE = 1.5  # in last windows: side of the area around an uncertain vector that must match
 BEYOND_CUT = 0.5, 0.3, 0.3  # share of the cut where the flow goes on behind a mask: of a pair, of what pairs share
-RIM_CUT = 0.35  # share of the cut that counts where a rim is clean: errors near walls are then 0.8 to 1.2 sigma
+# Share of the cut that counts where a rim is clean: errors near walls are then 0.8 to 1.2 sigma
+RIM_CUT = 0.35
 Floats = NDArray[np.float64]
 
 

@@ -41,7 +41,8 @@ from numpy.typing import NDArray
 from piv.statistics.out_of_plane import Rate, ThroughSheet, neighbours
 
 Floats = NDArray[np.float64]
-DEGREE = 4  # of the surface: a jet as wide as the reach leaves a tenth of it with 2, a thousandth with 4
+# Of the surface: a jet as wide as the reach leaves a tenth of it with 2, a thousandth with 4
+DEGREE = 4
 LEAST_SIDE = 12  # vectors on each side of a rim that make a step
 VORTICITY, DIVERGENCE, SHEAR = (
     Rate(0.0, -1.0, 1.0, 0.0), Rate(1.0, 0.0, 0.0, 1.0), Rate(0.0, 1.0, 1.0, 0.0)

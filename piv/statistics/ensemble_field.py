@@ -37,7 +37,8 @@ LARGEST_SIGMA_PX = 0.5  # of a mean that is worth being called one
 FEWEST_PAIRS = 8  # of solid cells: fewer stand still by chance
 LEAST_STILL, MOST_ALIKE = 0.25, 0.25  # of the light's squares; of the usual share with a partner
 NEAR_PX, USUAL = 2, 75.0  # displacements that are summed; percentile over the cells
-MISSED = 1.3  # times what a window averages out: second differences lack it, too (layers and waves of 40 to 80 px)
+# Times what a window averages out: second differences lack it, too (layers and waves of 40 to 80 px)
+MISSED = 1.3
 THRESHOLD, EPSILON_PX = 3.0, 0.1  # of the universal outlier detection, as for single pairs
 
 Floats = NDArray[np.float64]

@@ -62,9 +62,12 @@ from numpy.typing import NDArray
 from piv.errors import PairError
 
 CORRELATED = 0.4  # of sqrt(R_uu R_ww): u'v' of shear layers, jets and walls
-UNSURE = 0.5  # of R_ww where it is assumed: w'w' over (u'u' + v'v')/2 is 0.6 to 1 in jets, layers and channels
-REACH_WINDOWS = 1.0  # standard deviation of the neighbourhood: less lacks eddies, more takes in the mean's shear
-FAR_BELOW = -10.0  # times its standard uncertainty that a variance may come out below 0 by chance, and far more
+# Of R_ww where it is assumed: w'w' over (u'u' + v'v')/2 is 0.6 to 1 in jets, layers and channels
+UNSURE = 0.5
+# Standard deviation of the neighbourhood: less lacks eddies, more takes in the mean's shear
+REACH_WINDOWS = 1.0
+# Times its standard uncertainty that a variance may come out below 0 by chance, and far more
+FAR_BELOW = -10.0
 MIN_NEIGHBOUR_WEIGHT = (
     4.0  # vectors in it that say how much the field varies; where there are fewer, it is as elsewhere
 )

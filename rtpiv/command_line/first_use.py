@@ -19,7 +19,8 @@ from daq.child import child
 from ground.rows import thread_count
 
 TRUST_S = 10.0
-MOST_HELPERS = 3  # beside the verb's own process; kernels share callees, and each compiles those it needs first
+# Beside the verb's own process; kernels share callees, and each compiles those it needs first
+MOST_HELPERS = 3
 ALSO = {  # verbs that call the kernels of others
     "init": ("trace",),
     "demo": ("calibrate", "correct", "evaluate"),

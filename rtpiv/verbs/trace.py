@@ -40,7 +40,8 @@ PICTURES = "rtpiv.analysis.pictures"
 DRAWN = ("plane.png", "camera_view.png", "light.png", "slant.png", "scene.png", "blur.png", "radial_curve.png")
 SHOWN_BODIES = 40
 LONGEST_BODY_NAME = 32
-SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says the same in four times the time
+# Corrected pixels between places that may be seen twice; 2 says the same in four times the time
+SHEET_STEP = 4
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from tracer.errors import SceneError
 MOST_BYTES = 200_000_000
 SAME = 1e-9  # of the size: points of a seam, which files write twice
 CREASE = 1e-3  # between two normals of one point
-HOLLOW = 1e-3  # slope by which a neighbour may rise above the tangent plane of a point: noise, not a hollow
+# Slope by which a neighbour may rise above the tangent plane of a point: noise, not a hollow
+HOLLOW = 1e-3
 ENDINGS = (".ply", ".obj")
 
 

@@ -11,7 +11,8 @@ from tracer.errors import SceneError
 
 POINTS = 64  # of a rim; its polygon is 0.1 % of a radius inside the circle
 SHORTEST = 1e-9
-SIDES = 8  # directions of sides of a polygon around a disc: it has twice as many, and corners 2 % outside
+# Directions of sides of a polygon around a disc: it has twice as many, and corners 2 % outside
+SIDES = 8
 
 
 def unit_vector(vector: Sequence[float], what: str) -> Vector3:

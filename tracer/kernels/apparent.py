@@ -27,7 +27,8 @@ from tracer.kernels.window import BEHIND, GLASS, OPENING, THICKNESS
 
 ROUNDED = 1e-11  # of a distance: more than what rounding does
 LEVEL, SEEMING, BESIDE_X, BESIDE_Y, BESIDE_Z, FREE, SLACK = range(7)
-FACE = 7  # distance of a face from P, the apparent one, its middle as seen from P across N, free radius, slack
+# Distance of a face from P, the apparent one, its middle as seen from P across N, free radius, slack
+FACE = 7
 
 
 @kernel

@@ -43,7 +43,8 @@ LAYERS, DIRECTIONS = 32, 3  # across the thickness: heights, and angles where th
 DIVERGING_LAYERS = 16  # heights where it does: 99 % of the nodes within 0.2 % of 32
 FARTHEST = 3.2  # standard deviations of a Gaussian that are traced
 REACH = 2.0  # thicknesses either way that count as light in the plane
-PARTS = 4  # of the layers, each with nodes of its own: the sum has the same bits for any number of threads
+# Of the layers, each with nodes of its own: the sum has the same bits for any number of threads
+PARTS = 4
 STEP_NODES = 4.0  # between rays, before tubes are halved
 TOLERANCE = 0.25  # nodes
 LEAST_LIGHT = 1e-6  # brightness below which height and thickness mean nothing

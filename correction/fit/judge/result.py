@@ -20,7 +20,8 @@ from tracer.strategies.sensitivity import SPHERE
 
 RMS_TIMES = 20.0  # residuals behind glass over those beside it: right fits 1-5, an ellipsoid of 50 um 5-10
 RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves more than either
-SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
+# Of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
+SHARE_LIMIT = 0.75
 FEW_CORNERS = 20  # behind glass, from which a share of them says little
 OVERLAP_LIMIT_MM = 0.02
 CONTACT_LIMIT = 4.0  # sigmas that balls may be apart which are said to touch

@@ -43,7 +43,8 @@ CORNERS_AT_ONCE = 64  # corners traced and fitted at a time
 WORTH_PX = 0.0005  # of the rough forecast (`prediction`), from which a corner is drawn
 WORTH_OF_DOTS_PX = 0.01  # of what the rim of a dot says, the same
 LEFT_BY_RIM, LEFT_OF_DOTS = 0.03, 0.02  # of what is taken off dots, by their rims and as drawn
-LEFT = 0.2  # of what is taken off, one standard deviation: renders show 0.8 behind two balls, all behind three
+# Of what is taken off, one standard deviation: renders show 0.8 behind two balls, all behind three
+LEFT = 0.2
 
 
 def window_bias(

@@ -27,7 +27,8 @@ PACKING_STRIDES = np.array((0.2, 0.2, 0.8))  # of the raster along x, y, z, in s
 PACKING_KNEE_PX = 4.0  # of the loss in the raster, corrected px
 COMPARED_SADDLES = 400  # saddles at most for which places are compared
 REFINED_PLACES = 6  # places of the raster that are refined
-PACKING_FOUND = 0.4  # share of saddles that a found packing explains: right ones 0.56 to 0.93, wrong ones to 0.26
+# Share of saddles that a found packing explains: right ones 0.56 to 0.93, wrong ones to 0.26
+PACKING_FOUND = 0.4
 
 
 def rigid_motion(unknowns: Unknowns, sigma_mm: float) -> Unknowns:

@@ -34,7 +34,8 @@ INLIER_PX = 1.0
 GOOD_INLIER_SHARE = 0.9  # share of inliers at which no further start is tried
 TWICE = 0.6  # the same, if two starts have ended at the same scene
 SAME_MM = 0.05
-MANY = 4  # spheres, of which half may have gone astray in two starts that ended alike: they are found later
+# Spheres, of which half may have gone astray in two starts that ended alike: they are found later
+MANY = 4
 RANDOM_STARTS = 64
 
 

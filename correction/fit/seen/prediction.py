@@ -49,8 +49,10 @@ TARGET_WIDENING = 1.6  # the glass shows more of the target than the bare view, 
 BRANCH_MARGIN_PX = 2  # windows stay this far from the border of their branch
 # Half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
 PREDICTED_WINDOW = 0.42
-SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or MIN_HALF_WINDOW_PX, is not asked
-TWIST_PX = 1.0  # cubic bending at the ends of a window that is allowed (from 3 px on corners err by 0.1-1 px)
+# The same where the view bends most; a corner that needs less, or MIN_HALF_WINDOW_PX, is not asked
+SHORTEST = 0.2
+# Cubic bending at the ends of a window that is allowed (from 3 px on corners err by 0.1-1 px)
+TWIST_PX = 1.0
 NEWTON, SETTLED_PX = 4, 1e-3  # steps, and how near the last must come
 PULLED = 0.06  # how much what is left of it pulls at corners, see above
 

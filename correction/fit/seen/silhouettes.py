@@ -38,7 +38,8 @@ SOFT, SHARP = (2.0, 1.0, 0.4), 0.2  # width of the outline, in squares
 WRONG = 0.3  # standard deviation of a label: corners are missed, and found by chance
 NEAR_RIM = 1.5  # squares: corners so near to an outline tell about it
 MIN_OWN_CORNERS = 12  # of them that make a rim a ball's own
-OWN = 0.2  # and this share of all along its outline: what else is hidden there others hide, and a gap shows little
+# And this share of all along its outline: what else is hidden there others hide, and a gap shows little
+OWN = 0.2
 MIN_LATTICE_CORNERS = 50  # corners of the lattice that must be seen or hidden
 OUTLINE_SIGMAS = 3.0  # sigmas from which a move is more than chance
 SAME = 0.1  # squares: a saddle so near to a corner of its kind is that corner

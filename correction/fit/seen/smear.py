@@ -44,7 +44,8 @@ SMEAR_SIGMA = 0.03  # of the smear by colour, as a corner's standard deviation
 SLOPE = 0.25  # of the variance of the blur, by which it may draw corners aside
 SHARPEST_PX = 0.35  # blur of a camera without lens
 UNEVEN = 0.1  # of a shift by the pupil: none is quite round, nor as wide as engraved
-UNEVEN_COLOURS = 0.2  # of one by colours: no camera's blur is Gaussian, and rendered ones leave 0.05 to 0.2 of it
+# Of one by colours: no camera's blur is Gaussian, and rendered ones leave 0.05 to 0.2 of it
+UNEVEN_COLOURS = 0.2
 
 
 @dataclass(frozen=True)

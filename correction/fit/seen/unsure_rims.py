@@ -27,7 +27,8 @@ from tracer.scene.scene import Scene
 RIM_SIGMAS = 3.0  # standard deviations of a rim
 MIN_BAND_PX = 0.5  # half widths of bands that are masked: nodes nearer than that to a rim are mixed anyway
 POINTS = 96  # of each outline
-MAX_BAND_ANGLE = 0.7  # rad from the middle of a ball: wider bands reach behind the camera, and no view goes so far
+# Rad from the middle of a ball: wider bands reach behind the camera, and no view goes so far
+MAX_BAND_ANGLE = 0.7
 REACH = (-0.5, -0.25, 0.25, 0.5)  # of windows, in squares along both edges
 
 

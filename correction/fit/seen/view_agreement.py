@@ -32,7 +32,8 @@ from tracer.strategies.trace import RayStatus, trace
 UNIFORM_SIDE_PX = 5  # side of what must show one square: blur and the fit's own errors reach less far
 MIN_SQUARE_PX = 8.0  # views of a square that show bright and dark apart
 NEARBY = 4.0  # squares: side of what W and B are taken from
-LOUD = 5.0  # standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
+# Standard deviations of the noise that bright and dark must differ from grey by, or nothing is asked
+LOUD = 5.0
 BLACKEST = 0.001  # share of the pixels below what a camera shows of no light
 DIMMEST = 0.05  # transmittance from which light is compared
 ROWS_AT_ONCE = 16  # of a frame: what is computed of them stays in a core's cache

@@ -55,7 +55,8 @@ from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import Tables
 
 REACH, WHOLE = 0.7, 1.0
-SHARP = 1e-7  # relative error of derivatives that are not traced again after the last step; float32 holds 6e-8
+# Relative error of derivatives that are not traced again after the last step; float32 holds 6e-8
+SHARP = 1e-7
 LOOSE_PX = 1e-4  # the last step is never larger, however straight the view: it leaves about its square
 MOST_BEND_PX = 0.05  # a second order larger than this is not to be trusted
 TILING, EDGES, DONE = 0, 1, 2  # how far a sheet is

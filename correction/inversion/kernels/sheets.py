@@ -32,7 +32,8 @@ KIND = SIGN | GLASS
 ISOLATED = 0xFF
 HALF = 0.55  # first order is right to 0.05 px halfway to the next pixel, unless BENT
 MOST_BENT = 0.2  # change of the derivatives a pixel: an eighth of it is the error halfway
-RUN = 6  # row, first column, last column + 1, 2 branch + (det < 0); first and last row of nodes that it may show
+# Row, first column, last column + 1, 2 branch + (det < 0); first and last row of nodes that it may show
+RUN = 6
 FIRST_ROW, LAST_ROW = 4, 5
 
 singular_values = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]

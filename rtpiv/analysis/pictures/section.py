@@ -16,7 +16,8 @@ from tracer.scene.scene import Scene
 from tracer.strategies.ray_path import ray_path
 
 MOST_SECTIONS = 3
-CENTRAL = 0.02  # of a radius: a cut so near a centre bends rays out of its plane by less than a line is wide
+# Of a radius: a cut so near a centre bends rays out of its plane by less than a line is wide
+CENTRAL = 0.02
 RAYS = 41
 GLASS, BESIDE, STOPPED = "through glass", "beside the glass", "stopped"
 NEAR_MM = 1e-3

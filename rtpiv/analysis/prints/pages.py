@@ -38,7 +38,8 @@ EDGE_MM = 6.0  # most printers leave out 4 to 5
 BAR_STEP_MM = 10.0
 MM = 1.0 / 25.4  # in inches
 DOT_MM = 25.4 / 600.0  # of most printers; of finer ones a whole number
-SMOOTH = 1.25  # dots to a standard deviation of a particle: 5e-4 of its contrast lies beyond what dots can show
+# Dots to a standard deviation of a particle: 5e-4 of its contrast lies beyond what dots can show
+SMOOTH = 1.25
 LEAST_DPI, MOST_DPI = 600.0, 1200.0  # as printers have
 HAIR: Any = {"color": "black", "linewidth": 0.4, "solid_capstyle": "butt"}
 REACH_SIGMAS = 4.0  # a Gaussian has 3e-4 of its peak there: below one grey level of 256

@@ -17,7 +17,8 @@ from rtpiv.analysis.pairs.pair_vectors import ChunkContent
 from rtpiv.analysis.series.mean_flow import MeanFlow
 
 BINS = 40
-MOVING_PX = 1.0  # components whose mean is below it are those of a fluid at rest, and pile up at 0 with right
+# Components whose mean is below it are those of a fluid at rest, and pile up at 0 with right
+MOVING_PX = 1.0
 FEW = 1000  # displacements below which nothing is said of their fractions
 Floats = NDArray[np.float64]
 

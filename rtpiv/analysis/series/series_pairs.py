@@ -29,7 +29,8 @@ from rtpiv.analysis.series.series_plan import SeriesPair
 CHECKSUMS = "checksums.jsonl"
 MAX_CHECKSUM_BYTES = 1_000_000_000  # of the list of checksums
 Known = dict[str, tuple[int, int, str]]  # by name of the frame: bytes and time of its file, checksum
-FEW_PAIRS = 10  # of a stream: a background found in so few holds light of particles, so none is taken off unasked
+# Of a stream: a background found in so few holds light of particles, so none is taken off unasked
+FEW_PAIRS = 10
 READ_BACK = 1e-6  # relative; of an exposure that has not been changed
 
 

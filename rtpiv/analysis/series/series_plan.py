@@ -35,7 +35,8 @@ from tracer.scene.scene import Scene
 
 LAYOUT = 2
 MAX_CHUNK_PAIRS = 16  # about half a minute of one core at 4 million pixels
-CHUNKS = 8  # at least, where there are pairs for so many: two to eight workers end at nearly the same time
+# At least, where there are pairs for so many: two to eight workers end at nearly the same time
+CHUNKS = 8
 MIN_SLIDING_PAIRS = REACH_STEPS // 2  # each chunk reads the neighbours as well: of two pairs 4 % of its time
 COMPUTES = ("rtpiv", "numpy", "numba", "scipy")
 _ANALYSIS = ("rtpiv/analysis/pairs", "rtpiv/analysis/series")

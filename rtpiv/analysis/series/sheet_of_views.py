@@ -25,7 +25,8 @@ from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.strategies.sensitivity import landings
 
 MOST_FRAMES, CHECKED_FRAMES = 100, 10  # that are compared, of both pulses, to measure the sheet; and to check it
-COMMON_PX = 0.003  # of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
+# Of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
+COMMON_PX = 0.003
 POSE = tuple(f"camera.{name}" for name in ("x", "y", "z", "rx", "ry", "rz"))
 BALL = "ball "  # begins the name of a candidate
 SHEET_SIGMA = np.array([0.3, 0.003, 0.003])  # mm, and slopes: of a move of the light sheet that is looked for
