@@ -41,10 +41,13 @@ def one_of(named: Sequence[Named] | Named) -> Path:
     paths = paths_of(named)
     if len(paths) == 1:
         return paths[0]
-    from daq.runs.names import is_run, main_run
+    from daq.runs.names import MAPS, is_run, main_run
     from daq.runs.run_folder import RunFolder  # most commands have no run
     from ground.terminal import console
 
+    # Beside runs their maps are kept, which `runs/*` names, too.
+    if len(paths := [path for path in paths if path.name != MAPS] or paths) == 1:
+        return paths[0]
     if not all(map(is_run, paths)):
         raise RunUsageError(
             f"one folder is wanted, not {len(paths)}: {', '.join(map(str, paths))}; give one of them"
