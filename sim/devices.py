@@ -53,7 +53,7 @@ LAG_S = 0.03  # more than an exposure lasts
 def _port(line: Line, clock: Clock) -> Iterator[str]:
     """Yield the port of a line: in this process, or a terminal where the time of the world runs by itself."""
     if isinstance(clock, VirtualClock):
-        with put_up(line) as port:
+        with put_up(line, "device") as port:
             yield port
     else:
         from sim.emulators.pty import PtyPort  # not every system has such terminals
@@ -171,5 +171,5 @@ def simulate_reading(section: ReadingSection, world: World, clock: Clock) -> Ite
 @contextmanager
 def replay_reading(section: ReadingSection, path: Path, clock: Clock) -> Iterator[ReadingSection]:
     """Put up what answers from a recording while the block runs; yield the section with its port."""
-    with put_up(Line(RecordedBox(path, clock), clock)) as port:
+    with put_up(Line(RecordedBox(path, clock), clock), "device") as port:
         yield section.model_copy(update={"port": port})

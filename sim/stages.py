@@ -204,7 +204,8 @@ class SimulatedStages:
     def in_process(self) -> Iterator[StagesTable]:
         """Offer every line under a ``sim://`` address of this process; yield the file with these ports."""
         with ExitStack() as stack:
-            yield self._with_ports({name: stack.enter_context(put_up(line)) for name, line in self.lines.items()})
+            ports = {name: stack.enter_context(put_up(line, name)) for name, line in self.lines.items()}
+            yield self._with_ports(ports)
 
     @contextmanager
     def serve(self) -> Iterator[StagesTable]:
@@ -218,7 +219,7 @@ class SimulatedStages:
             ports = {}
             for name, line in self.lines.items():
                 if isinstance(line.emulator, ForeignBox | HandScrews):
-                    ports[name] = stack.enter_context(put_up(line))
+                    ports[name] = stack.enter_context(put_up(line, name))
                 else:
                     ports[name] = stack.enter_context(PtyPort(line)).path
             yield self._with_ports(ports)

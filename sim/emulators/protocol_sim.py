@@ -19,14 +19,14 @@ LINES: dict[str, Line] = {}
 
 
 @contextmanager
-def put_up(line: Line) -> Iterator[str]:
-    """Yield the URL of a line while the block runs."""
-    name = f"line-{id(line):x}"
-    LINES[name] = line
+def put_up(line: Line, name: str = "line") -> Iterator[str]:
+    """Yield the URL of a line while the block runs; errors and recordings show the name in it."""
+    address = f"{name}-{id(line):x}"
+    LINES[address] = line
     try:
-        yield f"sim://{name}"
+        yield f"sim://{address}"
     finally:
-        LINES.pop(name)
+        LINES.pop(address)
 
 
 class SimSerial(serial.SerialBase):

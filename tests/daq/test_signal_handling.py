@@ -20,7 +20,7 @@ import rtpiv.verbs.trace as verb
 from rtpiv.command_line.cli import main
 from ground.whole_file import whole_file
 
-def trace(scene, out, pictures, overwrite):
+def trace(scene, out, **options):
     with whole_file(Path(out)) as stream:
         stream.write(b"half")
         print("begun", flush=True)
