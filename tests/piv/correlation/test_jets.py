@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from piv.correlation.pair import evaluate_pair as evaluate_by_default
 from piv.correlation.settings import PivSettings
 from tests.piv.correlation.flows import gaussian_jet, plane_jet, rms
 from tests.piv.fixed_windows import evaluate_pair
@@ -22,11 +23,11 @@ UNRESOLVED = [
 ]
 
 
-def judged(make, jet, seeds, **image):
+def judged(make, jet, seeds, evaluate=evaluate_pair):
     """True displacement, error and total sigma (n, 2) of what may have a vector, and whether it has one."""
     parts = []
     for seed in seeds:
-        field = evaluate_pair(*make(jet, seed=seed, ppp=0.03, noise=0.02, **image))
+        field = evaluate(*make(jet, seed=seed, ppp=0.03, noise=0.02))
         truth = np.stack(jet(*np.moveaxis(field.grid_px, -1, 0)), axis=-1)
         off = np.stack((field.u_px, field.v_px), axis=-1) - truth
         inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
@@ -38,20 +39,27 @@ def judged(make, jet, seeds, **image):
 def test_a_core_as_wide_as_a_window_is_kept_with_a_sigma_of_its_error(particle_pair, jet):
     truth, off, sigma, valid = judged(particle_pair, jet, (3, 4))
     core = np.linalg.norm(truth, axis=-1) > 1.0
-    assert valid[core].mean() > 0.6  # others are uncertain by a fifth of their length
+    assert valid[core].mean() > 0.25  # windows of 32 px alone; others are uncertain by a fifth of their length
     assert valid[~core].mean() > 0.97
     in_core = core & valid
     assert 0.7 < rms(off[in_core]) / rms(sigma[in_core]) < 1.35
-    assert np.mean(np.abs(off[in_core]) > 4.0 * sigma[in_core]) < 0.02
+    assert np.mean((np.abs(off) > 4.0 * sigma)[core] & valid[core, None]) < 0.01  # of all windows there
     middle = np.linalg.norm(truth, axis=-1) > 11.0
     assert np.median(np.linalg.norm(off[middle & valid], axis=-1)) < 1.5
+    truth, off, sigma, valid = judged(particle_pair, jet, (3, 4), evaluate_by_default)
+    core = np.linalg.norm(truth, axis=-1) > 1.0
+    assert valid[core].mean() > 0.75
+    assert np.mean(np.abs(off[core & valid]) > 4.0 * sigma[core & valid]) < 0.02
 
 
 @pytest.mark.parametrize("jet", UNRESOLVED)
 def test_a_core_of_half_a_window_has_no_vector_or_one_that_is_unsure(particle_pair, jet):
-    truth, off, sigma, valid = judged(particle_pair, jet, (3, 4))
-    moving = valid & (np.linalg.norm(truth, axis=-1) > 0.5)
-    assert rms(off[moving]) < 2.2 * rms(sigma[moving])  # 5 to 12 times where only the found displacement counts
+    """Of all windows that move few keep a vector that is off by a pixel, or by far more than its sigma."""
+    truth, off, sigma, valid = judged(particle_pair, jet, (3, 4, 5, 6))
+    moving = np.linalg.norm(truth, axis=-1) > 0.5
+    is_wrong, is_silent = valid & (np.abs(off) > 1.0).any(-1), (np.abs(off) > np.maximum(0.3, 4.0 * sigma)).any(-1)
+    assert is_wrong[moving].mean() < 0.03  # oblique 0.24 where vectors of a sigma beyond a fifth of them were kept
+    assert (valid & is_silent)[moving].mean() < 0.06
     assert np.mean((np.abs(off) > 4.0 * sigma)[valid]) < 0.01
     assert valid[np.linalg.norm(truth, axis=-1) < 0.1].mean() > 0.99
 
