@@ -141,8 +141,8 @@ def _search_places(screen: Console, scene: Scene, folder: Path) -> None:
          f"{max(pair.least_um.values(), default=math.nan):.0f}")
         for pair in found[:SHOWN_PAIRS] for one, two in [pair.degrees]
     ]  # fmt: skip
-    title = f"two cameras before arrangement 1; w to {MAX_SIGMA_W_PX:g} px a pair, a knock among {RUN_PAIRS} pairs"
-    columns = ("degrees about y", "recovered", "with w", "sigma of w [px]", "least knock [um]")
+    title = f"two cameras, arrangement 1 (w to {MAX_SIGMA_W_PX:g} px a pair, knock within {RUN_PAIRS} pairs)"
+    columns = ("degrees about y", "recovered", "with w", "sigma of w [px]", "smallest knock [um]")
     screen.print(ReportTable(title, columns, rows))
     for number, degrees in enumerate(found[0].degrees, start=1):
         write_text(folder / f"pair-{number}.yaml", dump_scene(at_degrees(scene, degrees)))

@@ -98,8 +98,8 @@ def trace(
     overwrite : bool
         Overwrite figures of another scene in the given folder.
     beside : path or Scene, optional
-        Scene of a second camera at the same time: print what both recover, how well a pair tells the velocity
-        through the sheet and the places of the balls, and which knock of a ball would be found.
+        Scene of a second camera at the same time: print what both recover, the uncertainty of the
+        out-of-plane velocity and of ball positions from one pair, and the smallest knock of a ball that shows.
 
     Returns
     -------

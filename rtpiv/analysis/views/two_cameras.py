@@ -1,7 +1,7 @@
 """Forecast for two cameras at the same time: union, velocity through the sheet, and balls that move.
 
 At nodes of the plane that both see, with slopes a = dX/dz, s the smallest singular value of dP/dX of a view (a
-corrected pixel is seen s pixels wide) and noise n = NOISE_PX / s of a displacement, two views u - a w tell
+corrected pixel is seen s pixels wide) and noise n = NOISE_PX / s of a displacement, two views u - a w give
 
     sigma_w^2 = (n_1^2 + n_2^2) / |a_2 - a_1|^2.
 
@@ -11,7 +11,7 @@ first by
     (J_2 - J_1) d - (a_2 - a_1) h + noise,        J = dX/dd,
 
 with noise of LOCATION_PX in each picture and h of SPREAD_MM.  All particles of a pair together, PER_PX on a
-corrected pixel, tell d as if nothing else moved: (sum J^T C^-1 J)^-1, as `correction.self_check.knocks` finds it.
+corrected pixel, give d as if nothing else moved: (sum J^T C^-1 J)^-1, as `correction.self_check.knocks` finds it.
 """
 
 import math
@@ -44,7 +44,7 @@ SHARE_STEP = 0.01  # by which shares must differ for one pair of places to be be
 RUN_PAIRS = 100
 SAID_BALLS = 6
 MAX_PLACES = 3000  # seen twice
-MAX_SIGMA_MM = 0.1  # by one pair, of a ball of which views tell
+MAX_SIGMA_MM = 0.1  # by one pair, of a ball that the views locate
 Floats = NDArray[np.float64]
 Balls = dict[str, Floats]
 
@@ -115,7 +115,7 @@ class TwoCameras:
     sigma_w_px : float
         Median of a pair's w where it is reported [corrected px]; NaN if nowhere.
     balls : dict
-        For each ball of which views tell, covariance (3, 3) of its place by one pair [mm^2].
+        For each ball that the views locate, covariance (3, 3) of its position by one pair [mm^2].
     """
 
     degrees: tuple[float, float]
@@ -129,12 +129,12 @@ class TwoCameras:
         """In words, a line each."""
         found = [
             f"two cameras: {percent(self.union)} of what the glass hides from the first is recovered,"
-            f" {percent(self.with_w)} with w, which a pair tells to {self.sigma_w_px:.3f} px (median)"
+            f" {percent(self.with_w)} with w; uncertainty of w from one pair {self.sigma_w_px:.3f} px (median)"
         ]
         for name, least in self.least_um.items():
             found.append(
-                f"{name}: {_places(self.balls[name])}, if nothing else moves; a knock in the middle of {RUN_PAIRS}"
-                f" is found from {least:.2g} um on"
+                f"{name}: {_places(self.balls[name])}, if nothing else moves; smallest detectable knock"
+                f" halfway through {RUN_PAIRS} pairs {least:.2g} um, in half of all runs"
             )
         return found
 
@@ -149,7 +149,7 @@ class TwoCameras:
 
 
 def sentences_of(balls: Balls) -> list[str]:
-    """Return how well particles that one camera shows twice tell the places of balls, a line each, best first.
+    """Describe the uncertainty of ball positions, by particles that one camera shows twice, best first.
 
     A move counts beside what calibration leaves unsure, by the test of `correction.self_check.moved_sphere`.
     """
@@ -158,18 +158,18 @@ def sentences_of(balls: Balls) -> list[str]:
         whole = covariance / RUN_PAIRS + np.diag(np.square(FLOOR_MM))
         ratio = scipy.special.fdtri(3, RUN_PAIRS - 3, 1.0 - MOVE_FALSE_ALARMS / len(balls))
         least = 1e3 * weakest_sigma(whole) * float(np.sqrt(3.0 * (RUN_PAIRS - 1) / (RUN_PAIRS - 3) * ratio))
-        said = f"{name}: {_places(covariance, FLOOR_MM)}; a move since its calibration is found from"
-        found.append((least, f"{said} {least:.2g} um on"))
+        said = f"{name}: {_places(covariance, FLOOR_MM)}; smallest detectable move since its calibration"
+        found.append((least, f"{said} {least:.2g} um, in half of all runs"))
     return [said for _, said in sorted(found)[:SAID_BALLS]]
 
 
 def _places(covariance: Floats, floor_mm: Floats | float = 0.0) -> str:
-    """Return the uncertainty of a place by one pair, and by `RUN_PAIRS`, in words."""
+    """Describe the uncertainty of a position by one pair, and by `RUN_PAIRS`."""
     each, every = (
         ", ".join(f"{um:.2g}" for um in 1e3 * np.sqrt(np.diag(covariance) / count + np.square(floor_mm)))
         for count in (1, RUN_PAIRS)
     )
-    return f"one pair tells its place to ({each}) um, {RUN_PAIRS} pairs to ({every}) um"
+    return f"position uncertainty (x, y, z) from one pair ({each}) um, from {RUN_PAIRS} pairs ({every}) um"
 
 
 def two_cameras(first: Scene, second: Scene) -> TwoCameras:

@@ -47,7 +47,7 @@ def test_two_balls_are_as_they_were_measured():
         sigma = 1e3 * np.sqrt(np.diag(found.balls[name]))
         assert 1.5 < sigma[:2].min() <= sigma[:2].max() < 5.0
         assert 2.0 * sigma[:2].max() < least < 4.0 * sigma[:2].max()
-    assert "a knock in the middle of 100 is found from" in found.sentences[1]
+    assert "smallest detectable knock halfway through 100 pairs" in found.sentences[1]
 
 
 def test_the_best_places_beat_the_others():
@@ -65,7 +65,7 @@ def test_particles_seen_twice_tell_a_ball_as_far_as_rays_move():
     scene = scene.with_bodies([replace(ball, radius_mm=ball.radius_mm - 1e-3) for ball in scene.spheres])
     views = double_views(scene, step=6)
     found = double_view_forecast(scene, views)
-    assert "a move since its calibration is found from" in " ".join(sentences_of(found))
+    assert "smallest detectable move since its calibration" in " ".join(sentences_of(found))
     sigma = 1e3 * np.sqrt(np.diag(found["sphere2"]))
     rates = []
     for axis in range(3):
