@@ -13,7 +13,7 @@ Each step of `judge_vectors` needs those before it:
    halving has shown, which knows nothing of noise that vectors follow;
 5. light that moves otherwise (`resolution.mismatch_px`), the larger: 4. is blind beyond a pixel. What is uncertain
    by then as a search of whole pixels is, and that the sooner the more of its neighbours were rejected, is no
-   measurement (`_is_uncertain`);
+   measurement of a single pair (`_is_uncertain`);
 6. the cut of a mask (`cut_windows`), root sum square: none of 3. to 5. has seen it;
 7. few particles (`resolution.with_few_pieces`): two or three know their own spread badly, so the total grows.
 
@@ -127,8 +127,9 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         parts[0] = resolution_of(measured, parts[0], is_halved, sigma, noise, spread_px2)
         # 5. Light that moves otherwise by a pixel and more, of which blocks show nothing.
         parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
-        dense = found.valid_fraction >= settings.min_valid
-        good = good & ~_is_uncertain(vectors, np.hypot(parts[0], _rms(sigma)), good, dense)
+        if settings.drop_uncertain:
+            dense = found.valid_fraction >= settings.min_valid
+            good = good & ~_is_uncertain(vectors, np.hypot(parts[0], _rms(sigma)), good, dense)
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of
         # them: part of the cut counts.
         seen, given = course.frames.valid, course.frames.given

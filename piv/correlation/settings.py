@@ -67,6 +67,9 @@ class PivSettings:
     flow_beyond_mask : bool
         The mask hides a flow that goes on behind it, such as the rim of what a camera sees; otherwise it may be a
         wall at which the flow bends most, and vectors beside it are less certain.
+    drop_uncertain : bool
+        Reject vectors that are hardly known by their own uncertainty. False in a series, which averages them: they
+        stand where the flow varies most, so statistics without them would miss part of the stresses.
 
     Raises
     ------
@@ -87,6 +90,7 @@ class PivSettings:
     uncertainty: bool = True
     peak_ratios: bool = False
     flow_beyond_mask: bool = False
+    drop_uncertain: bool = True
 
     def __post_init__(self) -> None:
         sides = self.windows_px

@@ -273,7 +273,8 @@ def series_input(
     if limit is not None:
         seen = limit.sigma.in_light_sheet(standing)
         limit = replace(limit, sigma=replace(seen, scene_hash=through.content_hash()))
-    method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)
+    settings = replace(choice.settings, drop_uncertain=False)
+    method = Method(through, dewarp, settings, choice.preparation or usual, limit)
     method = replace(method, out_of_plane=choice.out_of_plane)
     return SeriesInput(run, out, given, method, choice.least_valid)
 

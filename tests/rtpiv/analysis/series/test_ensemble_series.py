@@ -34,6 +34,11 @@ def series(tmp_path_factory):
     return given, mean_of_series(SeriesView(given.out))
 
 
+def test_pairs_keep_what_is_hardly_known(series):
+    """It stands where the flow varies most; stresses without it are too small."""
+    assert not series[0].method.settings.drop_uncertain
+
+
 def bits(flow):
     return [getattr(flow, name).tobytes() for name in ("mean_m_s", "sigma_m_s", "stresses_m2_s2", "correlation")]
 
