@@ -4,7 +4,7 @@ simulation:
 bench: "sim.bench:SimulatedBench"
 seed: 7                       # of misalignment, prints and noise
 transport: memory             # sim:// in this process, time runs as fast as it can; or pty: device files
-camera_transport: genicam     # what the camera's backend speaks (Linux); or memory: none, in this process
+camera_transport: genicam     # what the camera's backend speaks (Linux, x86-64); or memory: in this process
 speed: 20.0                   # of the world's clock on ptys
 is_misaligned: true
 samples: 4                    # rays across a pixel
@@ -25,6 +25,7 @@ cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # option
 A rehearsal (daq.bench.rehearsal) says `schedule`, `recorded` and `keeps` beside them.
 """
 
+import platform
 import sys
 from collections.abc import Mapping
 from typing import Annotated, Literal
@@ -40,6 +41,8 @@ from sim.frame_truth import WIDTH_PX, height_px
 from sim.renderer.render import Aperture
 from sim.stages import ScrewTable
 from tracer.errors import SceneError
+
+HAS_GENICAM = sys.platform == "linux" and platform.machine() == "x86_64"  # what `sim.camera.gentl.elf` writes
 
 
 class FaultsTable(Table):
@@ -92,7 +95,7 @@ class SimulationTable(Table):
     bench: str
     seed: Annotated[int, Field(ge=0, le=2**31)] = 7
     transport: Literal["memory", "pty"] = "memory"
-    camera_transport: Literal["genicam", "memory"] = "genicam" if sys.platform == "linux" else "memory"
+    camera_transport: Literal["genicam", "memory"] = "genicam" if HAS_GENICAM else "memory"
     speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 20.0
     is_misaligned: bool = True
     samples: Annotated[int, Field(ge=1, le=16)] = 4

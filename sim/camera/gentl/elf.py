@@ -16,43 +16,31 @@ process that runs CPython, and in no other.  If the line of Python fails, every 
 Layout: one read-execute segment (headers, symbols, SysV hash, relocations, code, script) and one read-write
 segment (dynamic section, imports, table) whose addresses lie one 64 KiB page further on.
 Why this and not C: docs/adr/0008-gentl-producer-without-a-compiler.md.
-Reference: System V ABI, "Object files" and "Program loading"; its x86-64 and AArch64 supplements.
+Reference: System V ABI, "Object files" and "Program loading"; its x86-64 supplement.
 """
 
 import platform
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 TABLE = "rtpiv_table"
 IMPORTS = ("PyGILState_Ensure", "PyRun_SimpleString", "PyGILState_Release")
 PAGE = 0x10000
 GC_ERR_ERROR = -1001
+MACHINE = "x86_64"  # the processor that the code is for
+STUB_BYTES, LAZY_BYTES = 8, 10
+RELATIVE, GLOB_DAT = 8, 6  # relocation types
 
 
-@dataclass(frozen=True, slots=True)
-class Machine:
-    """Code and constants of one type of processor."""
-
-    elf_machine: int
-    relative: int  # relocation types
-    glob_dat: int
-    stub_bytes: int
-    lazy_bytes: int
-    stub: Callable[[int, int], bytes]  # (address of the stub, address of its pointer)
-    lazy: Callable[[int, int, int], bytes]  # (address, index, address of boot)
-    boot: Callable[[int, tuple[int, int, int], int, int], bytes]  # (address, imports, script, table)
-
-
-def _x86_stub(at: int, pointer: int) -> bytes:
+def _stub(at: int, pointer: int) -> bytes:
     return b"\xff\x25" + struct.pack("<i", pointer - (at + 6)) + b"\x90\x90"
 
 
-def _x86_lazy(at: int, index: int, boot: int) -> bytes:
+def _lazy(at: int, index: int, boot: int) -> bytes:
     return b"\x68" + struct.pack("<I", index) + b"\xe9" + struct.pack("<i", boot - (at + 10))
 
 
-def _x86_boot(at: int, imports: tuple[int, int, int], script: int, table: int) -> bytes:
+def _boot(at: int, imports: tuple[int, int, int], script: int, table: int) -> bytes:
     code = bytearray()
 
     def relative(opcode: bytes, target: int) -> None:
@@ -73,65 +61,7 @@ def _x86_boot(at: int, imports: tuple[int, int, int], script: int, table: int) -
     return bytes(code)
 
 
-def _adrp(register: int, at: int, target: int) -> int:
-    pages = (target >> 12) - (at >> 12)
-    return 0x90000000 | ((pages & 3) << 29) | (((pages >> 2) & 0x7FFFF) << 5) | register
-
-
-def _load(register: int, base: int, target: int) -> int:  # ldr Xregister, [Xbase, low 12 bits of target]
-    return 0xF9400000 | (((target & 0xFFF) >> 3) << 10) | (base << 5) | register
-
-
-def _add_low(register: int, target: int) -> int:  # add Xregister, Xregister, low 12 bits of target
-    return 0x91000000 | ((target & 0xFFF) << 10) | (register << 5) | register
-
-
-def _words(*words: int) -> bytes:
-    return struct.pack(f"<{len(words)}I", *words)
-
-
-def _arm_stub(at: int, pointer: int) -> bytes:
-    return _words(_adrp(16, at, pointer), _load(17, 16, pointer), 0xD61F0220, 0xD503201F)  # br x17; nop
-
-
-def _arm_lazy(at: int, index: int, boot: int) -> bytes:
-    return _words(0x52800010 | (index << 5), 0x14000000 | (((boot - (at + 4)) >> 2) & 0x3FFFFFF))  # mov w16; b
-
-
-def _arm_boot(at: int, imports: tuple[int, int, int], script: int, table: int) -> bytes:
-    code: list[int] = []
-
-    def call(pointer: int) -> None:
-        code.append(_adrp(16, at + 4 * len(code), pointer))
-        code.extend((_load(16, 16, pointer), 0xD63F0200))  # blr x16
-
-    code += [0xA9B97BFD, 0x910003FD]  # stp x29, x30, [sp, #-112]!; mov x29, sp
-    code += [0xA90107E0, 0xA9020FE2, 0xA90317E4, 0xA9041FE6]  # stp x0..x7, [sp, #16..]
-    code += [0xF9002BF0]  # str x16, [sp, #80]
-    call(imports[0])
-    code += [0xB9005BE0]  # str w0, [sp, #88]
-    code.append(_adrp(0, at + 4 * len(code), script))
-    code.append(_add_low(0, script))
-    call(imports[1])
-    code += [0xB9005FE0, 0xB9405BE0]  # str w0, [sp, #92]; ldr w0, [sp, #88]
-    call(imports[2])
-    code += [0xB9405FF1, 0xF9402BF0]  # ldr w17, [sp, #92]; ldr x16, [sp, #80]
-    # ldp x0..x7; ldp x29, x30, [sp], #112
-    code += [0xA94107E0, 0xA9420FE2, 0xA94317E4, 0xA9441FE6, 0xA8C77BFD]
-    code += [0x35000000 | (5 << 5) | 17]  # cbnz w17, failed
-    code.append(_adrp(17, at + 4 * len(code), table))
-    code += [_add_low(17, table), 0xF8707A31, 0xD61F0220]  # ldr x17, [x17, x16, lsl #3]; br x17
-    code += [0x12807D00, 0xD65F03C0]  # failed: mov w0, #GC_ERR_ERROR; ret
-    return _words(*code)
-
-
-MACHINES = {
-    "x86_64": Machine(62, 8, 6, 8, 10, _x86_stub, _x86_lazy, _x86_boot),
-    "aarch64": Machine(183, 1027, 1025, 16, 8, _arm_stub, _arm_lazy, _arm_boot),
-}
-
-
-def build(functions: Sequence[str], script: str, machine: str | None = None) -> bytes:
+def build(functions: Sequence[str], script: str) -> bytes:
     """Return the bytes of the library.
 
     Parameters
@@ -140,18 +70,14 @@ def build(functions: Sequence[str], script: str, machine: str | None = None) -> 
         Names to export; their position is their index in the table.
     script : str
         Python source that fills the exported pointer table `TABLE`.
-    machine : str, optional
-        "x86_64" or "aarch64"; default is the machine this runs on.
 
     Raises
     ------
     ValueError
         If this processor is not covered.
     """
-    name = machine or platform.machine()
-    if name not in MACHINES:
-        raise ValueError(f"no jump table for the processor {name!r}; use one of {', '.join(MACHINES)}")
-    cpu = MACHINES[name]
+    if platform.machine() != MACHINE:
+        raise ValueError(f"no jump table for the processor {platform.machine()!r}, only for {MACHINE}")
     names = ["", *functions, TABLE, *IMPORTS]
     strings = bytearray()
     name_at = [_append(strings, text.encode() + b"\0") for text in names]
@@ -164,9 +90,9 @@ def build(functions: Sequence[str], script: str, machine: str | None = None) -> 
     rela, at = _align(at, 8), _align(at, 8) + 24 * (count + len(IMPORTS))
     dynstr, at = at, at + len(strings)
     text = _align(at, 16)
-    stubs = [text + cpu.stub_bytes * index for index in range(count)]
-    lazies = [text + cpu.stub_bytes * count + cpu.lazy_bytes * index for index in range(count)]
-    boot = _align(text + (cpu.stub_bytes + cpu.lazy_bytes) * count, 16)
+    stubs = [text + STUB_BYTES * index for index in range(count)]
+    lazies = [text + STUB_BYTES * count + LAZY_BYTES * index for index in range(count)]
+    boot = _align(text + (STUB_BYTES + LAZY_BYTES) * count, 16)
     script_at = boot + 256
     script_bytes = script.encode() + b"\0"
     code_end = script_at + len(script_bytes)
@@ -182,24 +108,24 @@ def build(functions: Sequence[str], script: str, machine: str | None = None) -> 
     def place(where: int, data: bytes) -> None:
         image[where : where + len(data)] = data
 
-    place(0, _headers(cpu, code_end, data_file, len(image), dynamic))
+    place(0, _headers(code_end, data_file, len(image), dynamic))
     place(dynsym, b"".join(_symbols(name_at, stubs, table, count)))
     place(hashes, struct.pack("<III", 1, len(names), 1))
     place(hashes + 12, struct.pack(f"<{len(names)}I", 0, *range(2, len(names)), 0))
     relocations = [
-        struct.pack("<QQq", pointer, cpu.relative, lazy) for pointer, lazy in zip(pointers, lazies, strict=True)
+        struct.pack("<QQq", pointer, RELATIVE, lazy) for pointer, lazy in zip(pointers, lazies, strict=True)
     ]
     first_import = count + 2
     relocations += [
-        struct.pack("<QQq", slot, ((first_import + index) << 32) | cpu.glob_dat, 0)
+        struct.pack("<QQq", slot, ((first_import + index) << 32) | GLOB_DAT, 0)
         for index, slot in enumerate(import_slots)
     ]
     place(rela, b"".join(relocations))
     place(dynstr, bytes(strings))
     for index in range(count):
-        place(stubs[index], cpu.stub(stubs[index], pointers[index]))
-        place(lazies[index], cpu.lazy(lazies[index], index, boot))
-    place(boot, cpu.boot(boot, import_slots, script_at, table))
+        place(stubs[index], _stub(stubs[index], pointers[index]))
+        place(lazies[index], _lazy(lazies[index], index, boot))
+    place(boot, _boot(boot, import_slots, script_at, table))
     place(script_at, script_bytes)
     entries = [(4, hashes), (5, dynstr), (6, dynsym), (7, rela), (8, 24 * len(relocations)), (9, 24)]
     entries += [(10, len(strings)), (11, 24), (14, soname_at), (0, 0)]
@@ -219,9 +145,9 @@ def _symbols(name_at: list[int], stubs: list[int], table: int, count: int) -> li
     return symbols
 
 
-def _headers(cpu: Machine, code_end: int, data_file: int, file_end: int, dynamic: int) -> bytes:
+def _headers(code_end: int, data_file: int, file_end: int, dynamic: int) -> bytes:
     identity = b"\x7fELF\x02\x01\x01" + bytes(9)
-    head = identity + struct.pack("<HHIQQQIHHHHHH", 3, cpu.elf_machine, 1, 0, 64, 0, 0, 64, 56, 4, 64, 0, 0)
+    head = identity + struct.pack("<HHIQQQIHHHHHH", 3, 62, 1, 0, 64, 0, 0, 64, 56, 4, 64, 0, 0)
     size = file_end - data_file
     segments = (
         (1, 5, 0, 0, code_end, PAGE),  # read, execute

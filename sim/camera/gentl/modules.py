@@ -1,4 +1,4 @@
-"""The modules a GenTL client walks through: system, interface, device, port, event.
+"""The modules a GenTL client walks through: system, interface, device and its port; `stream` has what is below.
 
 A handle is a number that finds one of these objects; a number that finds nothing is INVALID_HANDLE.
 
@@ -9,8 +9,9 @@ in the device model.
 
 import fcntl
 import os
+from abc import ABC, abstractmethod
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 from typing import Any, Protocol, TypeVar
 from xml.sax.saxutils import escape
@@ -20,7 +21,6 @@ from sim.camera.device import MODEL, VENDOR, SimCamera
 from sim.camera.features import XML_BASE
 from sim.camera.gentl import abi
 from sim.camera.gentl.abi import Answer, GenTLError, Kind, Status, answer_of, texts
-from sim.camera.gentl.stream import Stream
 from sim.camera.registers import BadAddress
 
 STRING_BYTES = 256
@@ -97,81 +97,112 @@ INTERFACE_ID = "rtpiv_interface"
 M = TypeVar("M")
 
 
-@dataclass
-class CameraPort:
-    """Port of the camera itself."""
+class Module(ABC):
+    """A module of the tree: the system lists interfaces, an interface devices, a device its stream.
 
-    camera: SimCamera
-    port_name: str = "Device"
+    Parameters
+    ----------
+    port : InfoPort
+        Strings that say who it is.
+    children : dict of str to Module
+        Modules below it, by id.
+    """
 
-    @property
-    def xml(self) -> bytes:
-        """The camera's description."""
-        return self.camera.registers.xml
+    def __init__(self, port: InfoPort, children: "dict[str, Module]") -> None:
+        self.port, self.children = port, children
+        self.is_open = False
 
-    def read(self, address: int, length: int) -> bytes:
-        """Read the camera's registers."""
-        return self.camera.read(address, length)
+    def open(self) -> None:
+        """Open it; RESOURCE_IN_USE if it is open already."""
+        if self.is_open:
+            raise GenTLError(Status.RESOURCE_IN_USE, f"{self.port.port_name}: it is open already")
+        self.is_open = True
 
-    def write(self, address: int, data: bytes) -> None:
-        """Write the camera's registers."""
-        self.camera.write(address, data)
+    def close(self) -> None:
+        """Close it; harmless when repeated."""
+        self.is_open = False
+
+    @abstractmethod
+    def answer(self, command: int) -> Answer:
+        """Answer a GetInfo function; NOT_AVAILABLE if the command asks for something else."""
 
 
-@dataclass
-class Device:
+class System(Module):
+    """The library as a GenTL system, with one interface.
+
+    Parameters
+    ----------
+    path : str
+        Path of the .cti file.
+    interface : Interface
+        The one interface.
+    """
+
+    def __init__(self, path: str, interface: "Interface") -> None:
+        about = {"TLID": "rtpiv", "TLVendorName": VENDOR, "TLModelName": "simulated cameras", "TLVersion": "1.0"}
+        super().__init__(
+            InfoPort("TLPort", {**about, "TLPath": path, "TLType": TL_TYPE}), {INTERFACE_ID: interface}
+        )
+        self.path = path
+
+    def answer(self, command: int) -> Answer:
+        """TLGetInfo and GCGetInfo."""
+        name = self.path.rsplit("/", 1)[-1]
+        answers = texts("rtpiv", VENDOR, "simulated cameras", "1.0", TL_TYPE, name, self.path, "rtpiv")
+        numbers = {8: (Kind.INT32, 1), 9: (Kind.UINT32, 1), 10: (Kind.UINT32, 5)}
+        return answer_of(answers | numbers, command, "system")
+
+
+class Interface(Module):
+    """The one interface; lists the cameras."""
+
+    def __init__(self, devices: dict[str, Module]) -> None:
+        port = InfoPort("InterfacePort", {"InterfaceID": INTERFACE_ID, "InterfaceType": TL_TYPE})
+        super().__init__(port, devices)
+
+    def answer(self, command: int) -> Answer:
+        """TLGetInterfaceInfo and IFGetInfo."""
+        return answer_of(texts(INTERFACE_ID, "rtpiv simulated interface", TL_TYPE), command, "interface")
+
+
+class Device(Module):
     """One camera as the interface lists it; powered when it is opened for the first time."""
 
-    config: CameraConfig
-    camera: SimCamera | None = None
-    is_open: bool = False
-    stream: Stream | None = None
-    handle: int = 0
-    remote_handle: int = 0
-    port: InfoPort = field(init=False)
-    _lock: int | None = None
+    def __init__(self, config: CameraConfig) -> None:
+        about = {"DeviceID": config.serial, "DeviceVendorName": VENDOR, "DeviceModelName": MODEL}
+        about |= {"DeviceSerialNumber": config.serial, "DeviceType": TL_TYPE}
+        super().__init__(InfoPort("DevicePort", about), {})
+        self.config = config
+        self.camera: SimCamera | None = None
+        self.remote_handle = 0
+        self._lock: int | None = None
 
-    def __post_init__(self) -> None:
-        self.port = InfoPort(
-            "DevicePort",
-            {
-                "DeviceID": self.config.serial,
-                "DeviceVendorName": VENDOR,
-                "DeviceModelName": MODEL,
-                "DeviceSerialNumber": self.config.serial,
-                "DeviceType": TL_TYPE,
-            },
-        )
-
-    def open(self) -> SimCamera:
-        """Take exclusive control.
-
-        Raises
-        ------
-        GenTLError
-            RESOURCE_IN_USE: it is open already; IO: the camera is unplugged.
-        """
-        if self.is_open:
-            raise GenTLError(Status.RESOURCE_IN_USE, f"{self.config.serial} is open already")
-        if self.config.lock_path:
-            self._lock = _lock(self.config.lock_path)
-        if self.camera is None:
-            with suppress(ConnectionError):  # a world of another process that has ended
-                self.camera = SimCamera(self.config)
-        if self.camera is None or self.camera.is_lost:
-            self._unlock()
-            raise GenTLError(Status.IO, f"{self.config.serial} does not answer")
-        self.is_open = True
-        return self.camera
+    def open(self) -> None:
+        """Take exclusive control; RESOURCE_IN_USE if it is open anywhere, IO if the camera is unplugged."""
+        super().open()
+        try:
+            if self.config.lock_path:
+                self._lock = _lock(self.config.lock_path)
+            if self.camera is None:
+                with suppress(ConnectionError):  # a world of another process that has ended
+                    self.camera = SimCamera(self.config)
+            if self.camera is None or self.camera.is_lost:
+                raise GenTLError(Status.IO, f"{self.config.serial} does not answer")
+        except GenTLError:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Give control back; settings stay, as on a camera under power."""
+        super().close()
+        for stream in self.children.values():
+            stream.close()
         if self.camera is not None:
             self.camera.stop()
-            self.camera.sink = None
-        self.is_open = False
-        self.stream = None
-        self._unlock()
+        self.remote_handle = 0
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def power_off(self) -> None:
         """Close and end the camera."""
@@ -181,13 +212,7 @@ class Device:
             self.camera = None
 
     def answer(self, command: int) -> Answer:
-        """IFGetDeviceInfo and DevGetInfo.
-
-        Raises
-        ------
-        GenTLError
-            NOT_AVAILABLE: the command asks for something else.
-        """
+        """IFGetDeviceInfo and DevGetInfo."""
         serial = self.config.serial
         answers = texts(serial, VENDOR, MODEL, TL_TYPE, f"{MODEL} {serial}", "", "", serial, "1.0")
         answers[9] = (Kind.UINT64, 1_000_000_000)
@@ -205,10 +230,27 @@ class Device:
                 return abi.ACCESS_BUSY
         return abi.ACCESS_READWRITE
 
-    def _unlock(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+
+@dataclass
+class CameraPort:
+    """Port of the remote device: the camera's own registers and description."""
+
+    owner: Device
+    camera: SimCamera
+    port_name: str = "Device"
+
+    @property
+    def xml(self) -> bytes:
+        """The camera's GenApi description."""
+        return self.camera.registers.xml
+
+    def read(self, address: int, length: int) -> bytes:
+        """Read the camera's registers."""
+        return self.camera.read(address, length)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write the camera's registers."""
+        self.camera.write(address, data)
 
 
 def _lock(path: str) -> int:
@@ -221,133 +263,36 @@ def _lock(path: str) -> int:
     return descriptor
 
 
-@dataclass
-class Interface:
-    """The one interface; lists the cameras."""
-
-    devices: dict[str, Device]
-    is_open: bool = False
-    port: InfoPort = field(
-        default_factory=lambda: InfoPort("InterfacePort", {"InterfaceID": INTERFACE_ID, "InterfaceType": TL_TYPE})
-    )
-
-    def answer(self, command: int) -> Answer:
-        """TLGetInterfaceInfo and IFGetInfo.
-
-        Raises
-        ------
-        GenTLError
-            NOT_AVAILABLE: the command asks for something else.
-        """
-        return answer_of(texts(INTERFACE_ID, "rtpiv simulated interface", TL_TYPE), command, "interface")
-
-
-@dataclass
-class System:
-    """The transport layer as a whole."""
-
-    path: str
-    interface: Interface
-    is_open: bool = False
-    port: InfoPort = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.port = InfoPort(
-            "TLPort",
-            {
-                "TLID": "rtpiv",
-                "TLVendorName": VENDOR,
-                "TLModelName": "simulated cameras",
-                "TLVersion": "1.0",
-                "TLPath": self.path,
-                "TLType": TL_TYPE,
-            },
-        )
-
-    def answer(self, command: int) -> Answer:
-        """GCGetInfo and TLGetInfo.
-
-        Raises
-        ------
-        GenTLError
-            NOT_AVAILABLE: the command asks for something else.
-        """
-        name = self.path.rsplit("/", 1)[-1]
-        answers = texts("rtpiv", VENDOR, "simulated cameras", "1.0", TL_TYPE, name, self.path, "rtpiv")
-        numbers = {8: (Kind.INT32, 1), 9: (Kind.UINT32, 1), 10: (Kind.UINT32, 5)}
-        return answer_of(answers | numbers, command, "system")
-
-
-@dataclass
-class StreamModule:
-    """An open data stream with its own small port."""
-
-    device: Device
-    stream: Stream
-    port: InfoPort = field(
-        default_factory=lambda: InfoPort("StreamPort", {"StreamID": "Stream0", "StreamType": TL_TYPE})
-    )
-
-    def answer(self, command: int) -> Answer:
-        """DSGetInfo."""
-        return self.stream.answer(command, TL_TYPE)
-
-
-@dataclass
-class Event:
-    """A registered NEW_BUFFER event."""
-
-    owner: StreamModule
-    fired: int = 0
-
-    def answer(self, command: int) -> Answer:
-        """EventGetInfo."""
-        numbers = (abi.EVENT_NEW_BUFFER, len(self.owner.stream.output), self.fired, 16, 16)
-        kinds = (Kind.INT32, Kind.SIZET, Kind.UINT64, Kind.SIZET, Kind.SIZET)
-        return answer_of(dict(enumerate(zip(kinds, numbers, strict=True))), command, "event")
-
-
 class Handles:
-    """Numbers for objects, never used twice."""
+    """Handles given out, and the modules they stand for."""
 
     def __init__(self) -> None:
         self._objects: dict[int, Any] = {}
         self._next = count(0x1000)
 
     def add(self, module: object) -> int:
-        """Give an object a number."""
+        """Give out a handle."""
         handle = next(self._next)
         self._objects[handle] = module
         return handle
 
     def get(self, handle: int, *kinds: type[M]) -> M:
-        """Object of a number, if it is of one of the wanted kinds.
-
-        Raises
-        ------
-        GenTLError
-            INVALID_HANDLE: there is none, or it is of another kind.
-        """
+        """Return the module of a handle; INVALID_HANDLE if it stands for none, or for another kind."""
         module = self._objects.get(handle)
         if not isinstance(module, kinds):
             raise GenTLError(Status.INVALID_HANDLE, f"handle {handle:#x}")
         return module
 
-    def drop(self, handle: int) -> None:
-        """Forget a number."""
-        self._objects.pop(handle, None)
-
-    def drop_owned(self, owner: StreamModule) -> None:
-        """Forget the events of a stream."""
-        for handle in [
-            h for h, module in self._objects.items() if isinstance(module, Event) and module.owner is owner
-        ]:
-            del self._objects[handle]
+    def drop(self, module: object, only_owned: bool = False) -> None:
+        """Forget a module and what it owns, or only the latter."""
+        for handle, each in list(self._objects.items()):
+            if getattr(each, "owner", None) is module or (each is module and not only_owned):
+                del self._objects[handle]
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Forget every handle."""
         self._objects.clear()
 
     def next_free(self) -> int:
-        """A number without an object, for buffers."""
+        """Handle for something that is found elsewhere."""
         return next(self._next)

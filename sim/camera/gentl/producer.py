@@ -1,7 +1,8 @@
-"""The library: what becomes of a call from C, and the functions that lead to a device.
+"""The library: what becomes of a call from C.
 
-The functions are methods of `PortCalls` (GC: registers and descriptions of every module), `FindCalls` (TL and IF:
-from the library to a device) and `StreamCalls` (a file of its own), named as in the standard.
+Functions that are alike for every module of the tree (count, name, describe, open and close what is below) are
+those of `TREE`; the others are methods of `Producer` (registers, library) and of `StreamCalls` (a file of its
+own), named as in the standard.  What clients do not call that fetch frames is NOT_IMPLEMENTED.
 
 A method takes the C arguments as integers, writes results into the caller's memory and raises GenTLError, with
 the standard's code, for anything but success; `Producer.callback` turns the code into the return value.  Nothing
@@ -23,205 +24,61 @@ from sim.camera.features import XML_BASE
 from sim.camera.gentl import memory
 from sim.camera.gentl.abi import SIGNATURES, Answer, GenTLError, Kind, Status, answer_of, texts
 from sim.camera.gentl.elf import TABLE
-from sim.camera.gentl.modules import CameraPort, Device, Event, Handles, Interface, Port, StreamModule, System
+from sim.camera.gentl.modules import CameraPort, Device, Handles, Interface, Module, Port, System
+from sim.camera.gentl.stream import STREAM_ID, Event, Stream
 from sim.camera.gentl.stream_calls import StreamCalls
 from sim.camera.registers import BadAddress, BadValue, WriteProtected
 
 MAX_READ_BYTES = 1 << 24
 
 
-class PortCalls:
-    """Part of `sim.camera.gentl.producer.Producer`."""
-
-    handles: Handles
-
-    def _port(self, handle: int) -> Port:
-        module: object = self.handles.get(handle, System, Interface, Device, StreamModule, CameraPort)
-        if isinstance(module, CameraPort):
-            return module
-        assert isinstance(module, System | Interface | Device | StreamModule)
-        return module.port
-
-    def GCReadPort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        length = memory.read_size(size)
-        if length > MAX_READ_BYTES:
-            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
-        memory.put(self._port(handle).read(address, length), buffer)
-
-    def GCWritePort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        length = memory.read_size(size)
-        if length > MAX_READ_BYTES or not buffer:
-            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
-        self._port(handle).write(address, ctypes.string_at(buffer, length))
-
-    def GCReadPortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
-        self._call_stacked(handle, entries, number, self.GCReadPort)
-
-    def GCWritePortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
-        self._call_stacked(handle, entries, number, self.GCWritePort)
-
-    def _call_stacked(
-        self, handle: int, entries: int, number: int, one: Callable[[int, int, int, int], None]
-    ) -> None:
-        wanted = memory.read_size(number)
-        memory.write_size(number, 0)
-        for index in range(wanted):
-            address, buffer, _ = (ctypes.c_uint64 * 3).from_address(entries + 24 * index)
-            one(handle, address, buffer, entries + 24 * index + 16)
-            memory.write_size(number, index + 1)
-
-    def _url(self, handle: int) -> str:
-        port = self._port(handle)
-        return f"local:rtpiv_{port.port_name}.xml;{XML_BASE:X};{len(port.xml):X}"
-
-    def GCGetPortURL(self, handle: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_text(self._url(handle), buffer, size)
-
-    def GCGetNumPortURLs(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        self._port(handle)
-        memory.write_u32(number, 1)
-
-    def GCGetPortURLInfo(  # noqa: D102, N802
-        self, handle: int, index: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        port = self._port(handle)
-        if index != 0:
-            raise GenTLError(Status.INVALID_INDEX, f"URL {index}")
-        name, length = f"rtpiv_{port.port_name}.xml", len(port.xml)
-        answers: dict[int, Answer] = dict.fromkeys((1, 2, 3), (Kind.INT32, 1))
-        answers |= dict.fromkeys((4, 5, 9), (Kind.INT32, 0))
-        answers |= {0: (Kind.STRING, self._url(handle)), 10: (Kind.STRING, name)}
-        answers |= {7: (Kind.UINT64, XML_BASE), 8: (Kind.UINT64, length)}
-        memory.give_answer(answer_of(answers, command, "URL"), kind, buffer, size)
-
-    def GCGetPortInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        port = self._port(handle)
-        name = port.port_name
-        answers = texts(name, "rtpiv", name, "Custom", name) | {11: (Kind.STRING, "1.0"), 12: (Kind.STRING, name)}
-        flags = {5: 0, 6: 1, 7: 1, 8: int(name == "Device"), 9: 0, 10: 0}
-        answers |= {number: (Kind.BOOL8, flag) for number, flag in flags.items()}
-        memory.give_answer(answer_of(answers, command, "port"), kind, buffer, size)
-
-
-class FindCalls:
-    """Part of `sim.camera.gentl.producer.Producer`."""
-
-    handles: Handles
-    system: System
-
-    def TLOpen(self, result: int) -> None:  # noqa: D102, N802
-        if self.system.is_open:
-            raise GenTLError(Status.RESOURCE_IN_USE, "the system is open already")
-        memory.write_size(result, self.handles.add(self.system))
-        self.system.is_open = True
-
-    def TLClose(self, handle: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System).is_open = False
-        self.handles.drop(handle)
-
-    def TLGetNumInterfaces(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System)
-        memory.write_u32(number, 1)
-
-    def TLGetInterfaceID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System)
-        if index != 0:
-            raise GenTLError(Status.INVALID_INDEX, f"interface {index}")
-        memory.give_text(str(self.system.interface.answer(0)[1]), buffer, size)
-
-    def TLGetInterfaceInfo(  # noqa: D102, N802
-        self, handle: int, name: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        memory.give_answer(self._interface(handle, name).answer(command), kind, buffer, size)
-
-    def TLOpenInterface(self, handle: int, name: int, result: int) -> None:  # noqa: D102, N802
-        interface = self._interface(handle, name)
-        if interface.is_open:
-            raise GenTLError(Status.RESOURCE_IN_USE, "the interface is open already")
-        memory.write_size(result, self.handles.add(interface))
-        interface.is_open = True
-
-    def TLUpdateInterfaceList(self, handle: int, changed: int, timeout_ms: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System)
-        memory.write_bool(changed, False)
-
-    def _interface(self, handle: int, name: int) -> Interface:
-        interface = self.handles.get(handle, System).interface
-        if memory.read_text(name) != interface.answer(0)[1]:
-            raise GenTLError(Status.INVALID_ID, memory.read_text(name))
-        return interface
-
-    def IFClose(self, handle: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Interface).is_open = False
-        self.handles.drop(handle)
-
-    def IFGetNumDevices(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        memory.write_u32(number, len(self.handles.get(handle, Interface).devices))
-
-    def IFGetDeviceID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        names = list(self.handles.get(handle, Interface).devices)
-        if not 0 <= index < len(names):
-            raise GenTLError(Status.INVALID_INDEX, f"device {index}")
-        memory.give_text(names[index], buffer, size)
-
-    def IFUpdateDeviceList(self, handle: int, changed: int, timeout_ms: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Interface)
-        memory.write_bool(changed, False)
-
-    def IFGetDeviceInfo(  # noqa: D102, N802
-        self, handle: int, name: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        memory.give_answer(self._device(handle, name).answer(command), kind, buffer, size)
-
-    def IFOpenDevice(self, handle: int, name: int, flags: int, result: int) -> None:  # noqa: D102, N802
-        device = self._device(handle, name)
-        camera = device.open()
-        device.handle = self.handles.add(device)
-        device.remote_handle = self.handles.add(CameraPort(camera))
-        memory.write_size(result, device.handle)
-
-    def _device(self, handle: int, name: int) -> Device:
-        wanted = memory.read_text(name)
-        found = self.handles.get(handle, Interface).devices.get(wanted)
-        if found is None:
-            raise GenTLError(Status.INVALID_ID, wanted)
-        return found
-
-
 log = logging.getLogger(__name__)
 _attached: dict[str, object] = {}  # callbacks must outlive every caller
-INFO: dict[str, type[Any]] = {  # functions that ask a module for one of its answers
-    "TLGetInfo": System, "IFGetInfo": Interface, "DevGetInfo": Device, "DSGetInfo": StreamModule,
-    "EventGetInfo": Event,
+TREE: dict[str, tuple[str, type[Any]]] = {  # what is done, and the kind of module that the handle stands for
+    "TLGetInfo": ("info", System), "IFGetInfo": ("info", Interface), "DevGetInfo": ("info", Device),
+    "DSGetInfo": ("info", Stream), "EventGetInfo": ("info", Event),
+    "TLGetNumInterfaces": ("count", System), "IFGetNumDevices": ("count", Interface),
+    "DevGetNumDataStreams": ("count", Device),
+    "TLGetInterfaceID": ("name", System), "IFGetDeviceID": ("name", Interface),
+    "DevGetDataStreamID": ("name", Device),
+    "TLGetInterfaceInfo": ("info_below", System), "IFGetDeviceInfo": ("info_below", Interface),
+    "TLUpdateInterfaceList": ("update", System), "IFUpdateDeviceList": ("update", Interface),
+    "TLOpenInterface": ("open", System), "IFOpenDevice": ("open", Interface),
+    "DevOpenDataStream": ("open", Device),
+    "TLClose": ("close", System), "IFClose": ("close", Interface), "DevClose": ("close", Device),
+    "DSClose": ("close", Stream),
 }  # fmt: skip
-# parents are not handed out
-ABSENT: dict[str, type[Any]] = {"IFGetParentTL": Interface, "DevGetParentIF": Device}
 
 
-class Producer(PortCalls, FindCalls, StreamCalls):
-    """All state behind one .cti file.
+class Producer(StreamCalls):
+    """The producer of one .cti file, loaded into this process.
 
     Parameters
     ----------
     path : str
-        The file, for TLPath.
+        The .cti file.
     configs : list of CameraConfig
-        Cameras on its one interface.
+        Cameras on the interface.
     """
 
     def __init__(self, path: str, configs: list[CameraConfig]) -> None:
         self.path = path
-        self.devices = {config.serial: Device(config) for config in configs}
-        self.system = System(path, Interface(self.devices))
+        self.devices = [Device(config) for config in configs]
+        for device in self.devices:
+            device.children[STREAM_ID] = Stream(device)
+        self.interface = Interface({device.config.serial: device for device in self.devices})
+        self.system = System(path, self.interface)
         self.handles = Handles()
         self.is_initialised = False
         self._last = threading.local()
 
     def callback(self, name: str) -> Callable[..., int]:
         """Wrap a method so that it returns a status, that of a GenTLError, and never lets an exception out."""
-        method = (
-            partial(self._info, INFO[name]) if name in INFO else getattr(self, name, partial(self._absent, name))
-        )
+        if name in TREE:
+            what, kind = TREE[name]
+            method = partial(getattr(self, f"_{what}"), kind)
+        else:
+            method = getattr(self, name, partial(self._absent, name))
 
         def call(*arguments: int) -> int:
             status, text = Status.SUCCESS, ""
@@ -249,12 +106,89 @@ class Producer(PortCalls, FindCalls, StreamCalls):
     def _info(self, module: type[Any], handle: int, command: int, kind: int, buffer: int, size: int) -> None:
         memory.give_answer(self.handles.get(handle, module).answer(command), kind, buffer, size)
 
-    def _absent(self, name: str, handle: int, *arguments: int) -> None:
-        """Refuse a function that clients expect to be exported."""
-        if name in ABSENT:
-            self.handles.get(handle, ABSENT[name])
-        why = "parents are not handed out" if name in ABSENT else "flows and segments came after version 1.5"
-        raise GenTLError(Status.NOT_IMPLEMENTED, why)
+    def _count(self, kind: type[Module], handle: int, number: int) -> None:
+        memory.write_u32(number, len(self.handles.get(handle, kind).children))
+
+    def _name(self, kind: type[Module], handle: int, index: int, buffer: int, size: int) -> None:
+        names = list(self.handles.get(handle, kind).children)
+        if not 0 <= index < len(names):
+            raise GenTLError(Status.INVALID_INDEX, f"{index} of {len(names)}")
+        memory.give_text(names[index], buffer, size)
+
+    def _below(self, kind: type[Module], handle: int, name: int) -> Module:
+        wanted = memory.read_text(name)
+        found = self.handles.get(handle, kind).children.get(wanted)
+        if found is None:
+            raise GenTLError(Status.INVALID_ID, wanted)
+        return found
+
+    def _info_below(self, module: type[Module], handle: int, name: int, *where: int) -> None:
+        command, kind, buffer, size = where
+        memory.give_answer(self._below(module, handle, name).answer(command), kind, buffer, size)
+
+    def _update(self, kind: type[Module], handle: int, changed: int, timeout_ms: int) -> None:
+        self.handles.get(handle, kind)
+        memory.write_bool(changed, False)
+
+    def _open(self, kind: type[Module], handle: int, name: int, *more: int) -> None:
+        self._open_module(self._below(kind, handle, name), more[-1])  # behind the flags of a device
+
+    def _open_module(self, module: Module, result: int) -> None:
+        memory.write_size(result, 0)  # a null pointer opens nothing
+        module.open()
+        memory.write_size(result, self.handles.add(module))
+
+    def _close(self, kind: type[Module], handle: int) -> None:
+        module = self.handles.get(handle, kind)
+        module.close()
+        self.handles.drop(module)
+
+    def _port(self, handle: int) -> Port:
+        module: object = self.handles.get(handle, Module, CameraPort)
+        return module.port if isinstance(module, Module) else self.handles.get(handle, CameraPort)
+
+    def _absent(self, name: str, *arguments: int) -> None:
+        raise GenTLError(Status.NOT_IMPLEMENTED, f"{name} is not there: frames are fetched without it")
+
+    def TLOpen(self, result: int) -> None:  # noqa: D102, N802
+        self._open_module(self.system, result)
+
+    def GCReadPort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        length = memory.read_size(size)
+        if length > MAX_READ_BYTES:
+            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
+        memory.put(self._port(handle).read(address, length), buffer)
+
+    def GCWritePort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        length = memory.read_size(size)
+        if length > MAX_READ_BYTES or not buffer:
+            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
+        self._port(handle).write(address, ctypes.string_at(buffer, length))
+
+    def GCGetNumPortURLs(self, handle: int, number: int) -> None:  # noqa: D102, N802
+        self._port(handle)
+        memory.write_u32(number, 1)
+
+    def GCGetPortURLInfo(  # noqa: D102, N802
+        self, handle: int, index: int, command: int, kind: int, buffer: int, size: int
+    ) -> None:
+        port = self._port(handle)
+        if index != 0:
+            raise GenTLError(Status.INVALID_INDEX, f"URL {index}")
+        name, length = f"rtpiv_{port.port_name}.xml", len(port.xml)
+        answers: dict[int, Answer] = dict.fromkeys((1, 2, 3), (Kind.INT32, 1))
+        answers |= dict.fromkeys((4, 5, 9), (Kind.INT32, 0))
+        answers |= {0: (Kind.STRING, f"local:{name};{XML_BASE:X};{length:X}"), 10: (Kind.STRING, name)}
+        answers |= {7: (Kind.UINT64, XML_BASE), 8: (Kind.UINT64, length)}
+        memory.give_answer(answer_of(answers, command, "URL"), kind, buffer, size)
+
+    def GCGetPortInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        port = self._port(handle)
+        name = port.port_name
+        answers = texts(name, "rtpiv", name, "Custom", name) | {11: (Kind.STRING, "1.0"), 12: (Kind.STRING, name)}
+        flags = {5: 0, 6: 1, 7: 1, 8: int(name == "Device"), 9: 0, 10: 0}
+        answers |= {number: (Kind.BOOL8, flag) for number, flag in flags.items()}
+        memory.give_answer(answer_of(answers, command, "port"), kind, buffer, size)
 
     def GCInitLib(self) -> None:  # noqa: D102, N802 - the standard's names; see SIGNATURES
         if self.is_initialised:
@@ -262,10 +196,10 @@ class Producer(PortCalls, FindCalls, StreamCalls):
         self.is_initialised = True
 
     def GCCloseLib(self) -> None:  # noqa: D102, N802
-        for device in self.devices.values():
+        for device in self.devices:
             device.power_off()
         self.handles.clear()
-        self.is_initialised = self.system.is_open = self.system.interface.is_open = False
+        self.is_initialised = self.system.is_open = self.interface.is_open = False
 
     def GCGetInfo(self, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
         memory.give_answer(self.system.answer(command), kind, buffer, size)

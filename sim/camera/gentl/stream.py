@@ -5,13 +5,15 @@ A frame that finds no buffer in the input pool is an underrun and is counted, as
 
 import ctypes
 import threading
-import time
 from collections import deque
 from dataclasses import dataclass
 
-from sim.camera.device import SimCamera, SimFrame
+from sim.camera.device import SimFrame
 from sim.camera.gentl import abi
 from sim.camera.gentl.abi import Answer, GenTLError, Kind, Status, answer_of
+from sim.camera.gentl.modules import TL_TYPE, Device, InfoPort, Module
+
+STREAM_ID = "Stream0"
 
 
 @dataclass(slots=True)
@@ -22,13 +24,11 @@ class Buffer:
     address: int
     size: int
     user: int
-    memory: object = None  # keeps memory alive that the producer allocated itself
     is_queued: bool = False
     filled: int = 0
-    received_ns: int = 0
     frame: SimFrame | None = None
 
-    def answer(self, command: int, tl_type: str) -> Answer:
+    def answer(self, command: int) -> Answer:
         """DSGetBufferInfo.
 
         Raises
@@ -44,7 +44,7 @@ class Buffer:
             4: (Kind.BOOL8, int(frame is not None)),
             5: (Kind.BOOL8, int(self.is_queued)),
             6: (Kind.BOOL8, 0),
-            8: (Kind.STRING, tl_type),
+            8: (Kind.STRING, TL_TYPE),
             30: (Kind.BOOL8, int(frame is not None and bool(frame.chunks))),
             31: (Kind.BOOL8, 0),
         }
@@ -80,27 +80,39 @@ class Buffer:
         return answer_of(of_frame, command, "buffer")
 
 
-class Stream:
-    """One camera's stream and its buffers.
+class Stream(Module):
+    """The one data stream of a device.
 
     Parameters
     ----------
-    camera : SimCamera
-        Delivers frames into this stream while it is started.
+    device : Device
+        Its device, whose camera has power while the stream is open.
     """
 
-    def __init__(self, camera: SimCamera) -> None:
-        self.camera = camera
+    def __init__(self, device: Device) -> None:
+        super().__init__(InfoPort("StreamPort", {"StreamID": STREAM_ID, "StreamType": TL_TYPE}), {})
+        self.device = device
         self.ready = threading.Condition()
+        self.is_started = False
+        self.delivered = self.started_frames = self.underrun = 0
         self.buffers: dict[int, Buffer] = {}
         self.input: deque[Buffer] = deque()
         self.output: deque[Buffer] = deque()
+
+    def open(self) -> None:
+        """Take the frames of the camera; RESOURCE_IN_USE if it is open already."""
+        super().open()
+        assert self.device.camera is not None
+        self.device.camera.sink = self.take
+
+    def close(self) -> None:
+        """Take no more frames, and forget the buffers."""
+        super().close()
         self.is_started = False
-        self.delivered = 0
-        self.started_frames = 0
-        self.underrun = 0
-        self.is_killed = False
-        camera.sink = self.take
+        for kept in (self.buffers, self.input, self.output):
+            kept.clear()
+        if self.device.camera is not None:
+            self.device.camera.sink = None
 
     def take(self, frame: SimFrame) -> None:
         """Copy a frame into the next free buffer (called on the camera's thread)."""
@@ -120,7 +132,6 @@ class Stream:
             filled += len(frame.tail)
         with self.ready:
             buffer.frame, buffer.filled, buffer.is_queued = frame, filled, False
-            buffer.received_ns = time.monotonic_ns()
             self.output.append(buffer)
             self.delivered += 1
             self.ready.notify_all()
@@ -134,25 +145,16 @@ class Stream:
         Raises
         ------
         GenTLError
-            TIMEOUT: no frame came in time; ABORT: `kill_wait` was called.
+            TIMEOUT: no frame came in time.
         """
         if hold_gil and not self.output:
             ctypes.PyDLL(None).usleep(round(1e6 * min(timeout_s, 1.0)))
             timeout_s = 0.0
         with self.ready:
-            self.ready.wait_for(lambda: self.output or self.is_killed, timeout_s)
-            if self.is_killed:
-                self.is_killed = False
-                raise GenTLError(Status.ABORT, "the wait was ended by EventKill")
+            self.ready.wait_for(lambda: self.output, timeout_s)
             if not self.output:
                 raise GenTLError(Status.TIMEOUT, "no frame in time")
             return self.output.popleft()
-
-    def kill_wait(self) -> None:
-        """End a wait that is going on."""
-        with self.ready:
-            self.is_killed = True
-            self.ready.notify_all()
 
     def find(self, handle: int) -> Buffer:
         """Buffer of a handle.
@@ -218,7 +220,7 @@ class Stream:
                     queue.remove(buffer)
             del self.buffers[buffer.handle]
 
-    def answer(self, command: int, tl_type: str) -> Answer:
+    def answer(self, command: int) -> Answer:
         """DSGetInfo.
 
         Raises
@@ -226,20 +228,36 @@ class Stream:
         GenTLError
             NOT_AVAILABLE: the command asks for something else.
         """
+        camera = self.device.camera
+        assert camera is not None
         with self.ready:
             answers: dict[int, Answer] = {
-                0: (Kind.STRING, "Stream0"),
+                0: (Kind.STRING, STREAM_ID),
                 1: (Kind.UINT64, self.delivered),
                 2: (Kind.UINT64, self.underrun),
                 3: (Kind.SIZET, len(self.buffers)),
                 4: (Kind.SIZET, len(self.input)),
                 5: (Kind.SIZET, len(self.output)),
                 6: (Kind.UINT64, self.started_frames),
-                7: (Kind.SIZET, self.camera.registers.integer("PayloadSize")),
+                7: (Kind.SIZET, camera.registers.integer("PayloadSize")),
                 8: (Kind.BOOL8, int(self.is_started)),
                 9: (Kind.BOOL8, 1),
-                10: (Kind.STRING, tl_type),
+                10: (Kind.STRING, TL_TYPE),
                 12: (Kind.SIZET, 1),
                 13: (Kind.SIZET, 1),
             }
         return answer_of(answers, command, "stream")
+
+
+@dataclass
+class Event:
+    """A registration for filled buffers."""
+
+    owner: Stream
+    fired: int = 0
+
+    def answer(self, command: int) -> Answer:
+        """EventGetInfo; NOT_AVAILABLE if the command asks for something else."""
+        numbers = (abi.EVENT_NEW_BUFFER, len(self.owner.output), self.fired, 16, 16)
+        kinds = (Kind.INT32, Kind.SIZET, Kind.UINT64, Kind.SIZET, Kind.SIZET)
+        return answer_of(dict(enumerate(zip(kinds, numbers, strict=True))), command, "event")

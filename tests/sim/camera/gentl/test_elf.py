@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from sim.camera.gentl.elf import MACHINES, TABLE, build
+from sim.camera.gentl.elf import MACHINE, TABLE, build
 
 FILL = """
 import ctypes
@@ -22,7 +22,7 @@ import sys
 sys.modules["rtpiv_elf_test_calls"] = (lib, calls)
 """
 
-here = pytest.mark.skipif(platform.machine() not in MACHINES, reason="no jump table for this processor")
+here = pytest.mark.skipif(platform.machine() != MACHINE, reason="no jump table for this processor")
 
 
 @here
@@ -47,12 +47,12 @@ def test_a_failing_boot_is_an_error_code_and_not_a_crash(tmp_path):
     assert "no producer here" in done.stderr
 
 
-@pytest.mark.parametrize("machine", MACHINES)
-def test_headers_symbols_and_relocations_agree(machine):
+@here
+def test_headers_symbols_and_relocations_agree():
     names = [f"function_{index}" for index in range(60)]
-    data = build(names, "pass", machine)
+    data = build(names, "pass")
     kind, cpu = struct.unpack_from("<HH", data, 16)
-    assert (kind, cpu) == (3, {"x86_64": 62, "aarch64": 183}[machine])
+    assert (kind, cpu) == (3, 62)
     segments = [struct.unpack_from("<IIQQQQQQ", data, 64 + 56 * index) for index in range(4)]
     assert [segment[0] for segment in segments[:2]] == [1, 1]
     for _, flags, offset, address, _, size, _, align in segments[:2]:
@@ -69,6 +69,7 @@ def test_headers_symbols_and_relocations_agree(machine):
     assert [where for where, _, _ in relative] == [table + 8 * index for index in range(len(names))]
 
 
-def test_unknown_processor_is_named():
+def test_unknown_processor_is_named(monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
     with pytest.raises(ValueError, match="riscv64"):
-        build(("first",), "pass", "riscv64")
+        build(("first",), "pass")

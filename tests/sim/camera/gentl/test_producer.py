@@ -8,10 +8,10 @@ import pytest
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
 from sim.camera.gentl.abi import SIGNATURES, GenTLError, Kind, Status
-from sim.camera.gentl.elf import MACHINES
+from sim.camera.gentl.elf import MACHINE
 from sim.camera.gentl.modules import Device
 
-pytestmark = pytest.mark.skipif(platform.machine() not in MACHINES, reason="no jump table for this processor")
+pytestmark = pytest.mark.skipif(platform.machine() != MACHINE, reason="no jump table for this processor")
 
 SUCCESS, NOT_INITIALIZED, IN_USE, BAD_HANDLE, BAD_ID, BAD_PARAMETER = 0, -1002, -1004, -1006, -1007, -1009
 TIMEOUT, BAD_BUFFER, BAD_ADDRESS, TOO_SMALL, BAD_INDEX, NOT_AVAILABLE = -1011, -1013, -1015, -1016, -1017, -1014
