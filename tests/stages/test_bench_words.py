@@ -1,6 +1,6 @@
 """The first day at a bench: each way in which a box does not answer is a sentence of its own, with its cure."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 
 import pytest
 import serial
@@ -23,7 +23,6 @@ from stages.errors import (
     StageUsageError,
     WrongDevice,
 )
-from stages.protocols import grbl
 from stages.stage import Stage
 from stages.who_answers import kind_of_box
 from tests.loops import loop_over
@@ -174,15 +173,19 @@ def test_isel_speeds_are_the_boxs_to_refuse():
         made.check_motion("X", 31_000 / 400.0, 100.0)
 
 
-@pytest.mark.parametrize(("fastest", "moves"), [(10_000, False), (30_000, True)])
-def test_a_box_that_is_too_slow_says_so(bench, fastest, moves):
-    made = bench("isel_dnc", firmware={"fastest": fastest}, speed_mm_s=50.0).homed()
-    if moves:
-        made.stage.move({"a": 60.0})
-        assert made.world.true_mm("a") == pytest.approx(60.0, abs=0.1)
-    else:
-        with pytest.raises(CommandRejected, match="speed not allowed"):
-            made.stage.move({"a": 60.0})
+SLOW = {"speed_mm_s": 20.0, "approach": {"side": "from_below", "distance_mm": 0.1, "speed_mm_s": 0.05}}
+
+
+@loop_over("firmware, motion, moves", [
+    ({"fastest": 10_000}, {"speed_mm_s": 50.0}, False), ({"fastest": 30_000}, {"speed_mm_s": 50.0}, True),
+    ({"slowest": 30}, SLOW, False), ({"slowest": 10}, SLOW, True),
+])  # fmt: skip
+def test_speeds_of_a_box_are_its_own_to_refuse(bench, firmware, motion, moves):
+    made = bench("isel_dnc", firmware=firmware, **motion).homed()
+    with nullcontext() if moves else pytest.raises(CommandRejected, match=r"allowed \(D\).* change speed_mm_s"):
+        for target_mm in (60.0, 60.05):  # the second by an approach
+            made.stage.move({"a": target_mm})
+        assert made.world.true_mm("a") == pytest.approx(60.05, abs=0.1)
 
 
 class Echo(Emulator):
@@ -244,15 +247,11 @@ def test_the_right_driver_is_not_called_the_wrong_one():
     assert "swapped" not in str(caught.value)
 
 
-@pytest.mark.parametrize("reports", [0, 2, 510])
+@loop_over("reports", [0, 2, 510])
 def test_work_positions_are_refused_before_anything_moves(bench, reports):
     with pytest.raises(WrongDevice, match=r"set \$10=1 on the board"):
         bench("grbl", firmware={"settings": {10: reports}})
-
-
-@pytest.mark.parametrize("reports", [1, 3, 511])
-def test_machine_positions_are_taken_whatever_else_is_reported(bench, reports):
-    assert bench("grbl", firmware={"settings": {10: reports}}).controller.identity
+    assert bench("grbl", firmware={"settings": {10: reports + 1}}).controller.identity
 
 
 def test_two_boxes_on_one_port_are_named(tmp_path):
@@ -268,48 +267,9 @@ def test_two_boxes_on_one_port_are_named(tmp_path):
             Stage(StagesTable.model_validate(table))
 
 
-@pytest.mark.parametrize(("line", "code"), [
-    (b"ALARM:1", 1), (b"ALARM: Hard Limit", 1), (b"ALARM: Homing Fail Approach", 9), (b"ALARM: Unhomed", 0),
-])  # fmt: skip
-def test_alarms_in_words_are_alarms(line, code):
-    assert grbl.parse_answer(line) == grbl.Alarm(code)
-
-
-@pytest.mark.parametrize(("line", "code"), [
-    (b"error:15", 15), (b"error: GCode cannot be executed in lock or alarm state", 9), (b"error: Bad value", 0),
-])  # fmt: skip
-def test_refusals_in_words_are_refusals(line, code):
-    assert grbl.parse_answer(line) == grbl.Refusal(code)
-
-
-@pytest.mark.parametrize(
-    "field", ["|Sc:XY", "|T:0|TLR:0", "|FW:grblHAL", "|A:", "|D1", "|In:-1", "|SD:12.5,/a b.nc"]
-)
-def test_further_fields_of_a_report_are_none_of_ours(field):
-    found = grbl.parse_answer(f"<Idle|MPos:1.000,-2.500,0.000|FS:0,0{field}>".encode())
-    assert (found.state, found.position_mm) == ("Idle", (1.0, -2.5, 0.0))
-
-
-@pytest.mark.parametrize("line", [b"[NVS STORAGE:*FLASH]", b"[FREE MEMORY:102K]", b"[NEWOPT:ENUMS,RT+,HOME]"])
-def test_further_lines_of_grblhal_are_feedback(line):
-    assert isinstance(grbl.parse_answer(line), grbl.Feedback)
-
-
 @pytest.mark.parametrize("model", ["SCC201", "SCC203", "SCC101"])
 def test_a_rack_that_calls_itself_by_its_card_goes_like_its_rack(bench, model):
     made = bench("thorlabs_apt", firmware={"model": model}).homed({"a": 10.0})
     begun_s = made.clock.now_s()
     made.stage.move({"a": 110.0})
     assert 100.0 / 20.0 < made.clock.now_s() - begun_s < 100.0 / 20.0 + 1.5
-
-
-@pytest.mark.parametrize("slowest", [10, 30])
-def test_a_slow_speed_is_the_boxs_to_refuse(bench, slowest):
-    approach = {"side": "from_below", "distance_mm": 0.1, "speed_mm_s": 0.05}  # 20 steps/s
-    made = bench("isel_dnc", firmware={"slowest": slowest}, approach=approach).homed({"a": 40.0})
-    if slowest <= 20:
-        made.stage.move({"a": 40.05})
-        assert made.stage.where_mm()["a"] == pytest.approx(40.05, abs=0.01)
-    else:
-        with pytest.raises(CommandRejected, match=r"speed not allowed \(D\).* change speed_mm_s"):
-            made.stage.move({"a": 40.05})

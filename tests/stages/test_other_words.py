@@ -261,10 +261,24 @@ def test_a_driver_understands_a_box_that_is_none_of_ours(spoken, made):
         (b"ALARM:17", grbl.Alarm(17)),
         (b"<Alarm:11|MPos:0.000,0.000|FS:0,0>", grbl.Status("Alarm", (0.0, 0.0), True, 11, (("FS", "0,0"),))),
         (b"<Tool|MPos:0.000,0.000,1.500>", grbl.Status("Tool", (0.0, 0.0, 1.5))),
+        (b"ALARM: Hard Limit", grbl.Alarm(1)),
+        (b"ALARM: Homing Fail Approach", grbl.Alarm(9)),
+        (b"ALARM: Unhomed", grbl.Alarm(0)),
+        (b"error:15", grbl.Refusal(15)),
+        (b"error: GCode cannot be executed in lock or alarm state", grbl.Refusal(9)),
+        (b"error: Bad value", grbl.Refusal(0)),
+        (b"[NVS STORAGE:*FLASH]", grbl.Feedback),
+        (b"[FREE MEMORY:102K]", grbl.Feedback),
+        (b"[NEWOPT:ENUMS,RT+,HOME]", grbl.Feedback),
+        *(
+            (f"<Idle|MPos:1.000|FS:0,0|{field}>".encode(), grbl.Status)
+            for field in ("Sc:XY", "T:0|TLR:0", "FW:grblHAL", "A:", "D1", "In:-1", "SD:12.5,/a b.nc")
+        ),
     ],
 )
 def test_descendants_of_grbl_are_read_as_what_they_are(line, meant):
-    assert grbl.parse_answer(line) == meant
+    found = grbl.parse_answer(line)
+    assert isinstance(found, meant) if isinstance(meant, type) else found == meant
 
 
 @pytest.mark.parametrize(

@@ -52,17 +52,6 @@ def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, kind, after_s
     made.stage.move({"a": 30.0, "b": 30.0})
 
 
-def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
-    """What a runner does: move after move; the stop falls where nobody moves anything."""
-    made = bench(kind).homed()
-    made.stage.stop()
-    rests_mm = made.world.true_mm("a")
-    for _ in range(3):
-        with pytest.raises(MotionStopped):
-            made.stage.move({"a": 40.0})
-    assert made.world.true_mm("a") == rests_mm
-
-
 def test_a_stop_ends_the_retries(bench, kind, mocker):
     made = bench(kind).homed()
     mocker.patch.object(
