@@ -84,10 +84,10 @@ def _check(adapter: TypeAdapter[T], record: bytes, place: str, sealed: bool) -> 
     except SealBroken as error:
         raise RunDamaged(f"{place}: {error}, so it is not what was written; {CURE}") from None
     except ValidationError as error:
-        raise RunDamaged(f"{place}: {_sentence(error)}; {CURE}") from None
+        raise RunDamaged(f"{place}: {sentence_of(error)}; {CURE}") from None
 
 
-def _sentence(error: ValidationError) -> str:
+def sentence_of(error: ValidationError) -> str:
     """First of what is wrong, without the end of a sentence."""
     first = error.errors(include_url=False)[0]
     kind, message = first["type"], first["msg"]

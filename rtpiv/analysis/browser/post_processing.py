@@ -13,9 +13,11 @@ the file says which criteria that were.
 
 import json
 from dataclasses import asdict, dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, ConfigDict, Field, with_config
 
 from piv.correlation.outliers import outliers
 from piv.correlation.planes import fill_gaps
@@ -34,9 +36,20 @@ KEPT_FIELDS = (
     "map_sigma_y",
     "count",
 )
-Limits = tuple[float, float]
+Number = Annotated[float, Field(gt=-1e300, lt=1e300)]
+Place = tuple[Number, Number]
 
 
+def _rise(limits: Place) -> Place:
+    if not limits[0] < limits[1]:
+        raise ValueError("limits are two numbers, the smaller one first")
+    return limits
+
+
+Limits = Annotated[Place, AfterValidator(_rise)]
+
+
+@with_config(ConfigDict(extra="forbid"))
 @dataclass(frozen=True)
 class PostProcessing:
     """Criteria for vectors to keep, and what becomes of the others.
@@ -56,8 +69,8 @@ class PostProcessing:
 
     u_limits: Limits | None = None
     v_limits: Limits | None = None
-    deviations: float | None = None
-    local_median: float | None = None
+    deviations: Annotated[Number, Field(gt=0.0)] | None = None
+    local_median: Annotated[Number, Field(gt=0.0)] | None = None
     interpolate: bool = False
 
 

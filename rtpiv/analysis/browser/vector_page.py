@@ -13,28 +13,29 @@ for the live page (`daq.live.local_page`).
 """
 
 import json
-import math
 from contextlib import suppress
-from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection
 
 from daq.atomic_write import why
 from daq.live.local_page import PageServer, page_files, parse_message
 from daq.live.picture import grey_bytes
+from daq.runs.records import sentence_of
 from piv.files.vector_file import Vectors, write_vectors
 from rtpiv.analysis.browser.pair_frames import PairFrames
-from rtpiv.analysis.browser.post_processing import PostProcessing, find_outliers, post_process
+from rtpiv.analysis.browser.post_processing import Place, PostProcessing, find_outliers, post_process
 
 SOCKET = "/vectors"
 PAGES = page_files("vectors.html", "vectors.js", files("rtpiv.analysis.browser") / "page")
 MAX_MESSAGE_BYTES = 4096
 SUFFIX = "-checked"  # of the file that is written
+_CRITERIA, _PLACE = TypeAdapter(PostProcessing), TypeAdapter[tuple[float, float]](Place)
 
 
 class VectorPage(PageServer):
@@ -109,9 +110,10 @@ class VectorPage(PageServer):
         if type(time) is not int or not 0 <= time < len(self._vectors.times):
             return {"refused": f"the file holds {len(self._vectors.times)} times, numbered from 0"}, None
         if "check" in asked or "write" in asked:
-            chosen = read_criteria(asked.get("check", asked.get("write")))
-            if isinstance(chosen, str):
-                return {"refused": chosen}, None
+            try:
+                chosen = _CRITERIA.validate_python(asked.get("check", asked.get("write")))
+            except ValidationError as error:
+                return {"refused": sentence_of(error)}, None
             return self._check(time, chosen) if "check" in asked else self._write(chosen), None
         if "windows" in asked:
             return self._other_windows(asked["windows"]), None
@@ -148,49 +150,14 @@ class VectorPage(PageServer):
     def _other_windows(self, place: object) -> dict[str, Any]:
         if isinstance(self._frames, str):
             return {"refused": self._frames}
-        point = _pair_of_numbers(place)
         x_mm, y_mm = self._vectors.x_mm, self._vectors.y_mm
-        if point is None or not (x_mm[0] <= point[0] <= x_mm[-1] and y_mm[0] <= point[1] <= y_mm[-1]):
-            return {"refused": "choose a place among the vectors"}
-        return {"windows": list(self._frames.vectors_at(*point)), "place": point}
+        with suppress(ValidationError):
+            x, y = _PLACE.validate_python(place)
+            if x_mm[0] <= x <= x_mm[-1] and y_mm[0] <= y <= y_mm[-1]:
+                return {"windows": list(self._frames.vectors_at(x, y)), "place": (x, y)}
+        return {"refused": "choose a place among the vectors"}
 
 
 def output_of(path: Path) -> Path:
     """Return the file that the page of a file of vectors writes."""
     return path.with_name(f"{path.stem}{SUFFIX}.nc")
-
-
-def read_criteria(asked: object) -> PostProcessing | str:
-    """Read criteria that a browser has sent.
-
-    Returns
-    -------
-    PostProcessing or str
-        The criteria, or one sentence on what is wrong with them.
-    """
-    names = {field.name for field in fields(PostProcessing)}
-    if not isinstance(asked, dict) or not set(asked) <= names:
-        return f"criteria are {', '.join(sorted(names))}"
-    chosen: dict[str, Any] = {"interpolate": asked.get("interpolate") is True}
-    for name in ("u_limits", "v_limits"):
-        if asked.get(name) is not None:
-            limits = _pair_of_numbers(asked[name])
-            if limits is None or not limits[0] < limits[1]:
-                return f"{name} are two numbers, the smaller one first"
-            chosen[name] = limits
-    for name in ("deviations", "local_median"):
-        if asked.get(name) is not None:
-            if not (_is_number(asked[name]) and asked[name] > 0.0):
-                return f"{name} is a number above 0"
-            chosen[name] = float(asked[name])
-    return PostProcessing(**chosen)
-
-
-def _is_number(value: object) -> bool:
-    return type(value) in (int, float) and abs(value) < 1e300 and math.isfinite(value)  # type: ignore[arg-type]
-
-
-def _pair_of_numbers(asked: object) -> tuple[float, float] | None:
-    if not isinstance(asked, list) or len(asked) != 2 or not all(map(_is_number, asked)):
-        return None
-    return float(asked[0]), float(asked[1])

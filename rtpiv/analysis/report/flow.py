@@ -37,6 +37,7 @@ from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.report.tables import ALL, parts_of
 from rtpiv.analysis.series.history import BINS, History, history
+from rtpiv.analysis.series.joined_views import JoinedViews
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.series_folder import Chunks
 from rtpiv.analysis.series.series_view import SeriesView
@@ -103,14 +104,16 @@ def streamlines_figure(mean: MeanFlow, scene: Scene, speed: Floats) -> Figure:
         density=1.4,
         linewidth=1.0,
     )
-    _plane(axes, mean, scene)
+    _plane(axes, mean, scene, mean.length)
     colour_bar(lines.lines, axes, f"mean speed [{mean.unit}]")
     return figure
 
 
-def maps_figure(mean: MeanFlow, scene: Scene, maps: Sequence[tuple[str, Floats]]) -> Figure:
+def maps_figure(
+    mean: MeanFlow | JoinedViews, scene: Scene, maps: Sequence[tuple[str, Floats]], length: str = "mm"
+) -> Figure:
     """Draw scalars (ny, nx) on the plane, each with its own scale."""
-    figure, panels = plane_panels(_ratio(mean), len(maps), 2, 2.9)
+    figure, panels = plane_panels(_ratio(mean), len(maps), *((2, 2.9) if len(maps) > 1 else ()))
     half = 0.5 * (mean.x_mm[1] - mean.x_mm[0])
     extent = (mean.x_mm[0] - half, mean.x_mm[-1] + half, mean.y_mm[0] - half, mean.y_mm[-1] + half)
     for axes, (label, values) in zip(panels, maps, strict=True):
@@ -126,7 +129,7 @@ def maps_figure(mean: MeanFlow, scene: Scene, maps: Sequence[tuple[str, Floats]]
             vmin=-top if both else 0.0,
             vmax=top,
         )
-        _plane(axes, mean, scene)
+        _plane(axes, mean, scene, length)
         axes.tick_params(labelsize=7)
         colour_bar(image, axes, label, "both" if both else "max")
     return figure
@@ -172,15 +175,15 @@ def divergence_figure(ratios: dict[str, Floats]) -> Figure:
     return figure
 
 
-def _ratio(mean: MeanFlow) -> float:
+def _ratio(mean: MeanFlow | JoinedViews) -> float:
     """Height over width of what is drawn."""
     return float((mean.y_mm[-1] - mean.y_mm[0]) / (mean.x_mm[-1] - mean.x_mm[0]))
 
 
-def _plane(axes: Axes, mean: MeanFlow, scene: Scene) -> None:
-    """Draw the outlines of the bodies; the plane in mm."""
+def _plane(axes: Axes, mean: MeanFlow | JoinedViews, scene: Scene, length: str) -> None:
+    """Draw the outlines of the bodies, and name the axes."""
     draw_outlines(axes, scene, names=False)
-    axes.set(xlabel=f"x [{mean.length}]", ylabel=f"y [{mean.length}]", aspect="equal")
+    axes.set(xlabel=f"x [{length}]", ylabel=f"y [{length}]", aspect="equal")
     axes.set(xlim=(mean.x_mm[0], mean.x_mm[-1]), ylim=(mean.y_mm[0], mean.y_mm[-1]))
 
 
@@ -236,7 +239,7 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     maps = [(f"{name} [{mean.unit_squared}]", stresses[..., k]) for k, name in enumerate(("u'u'", "v'v'", "u'v'"))]
     maps.append((f"vorticity of the mean [{mean.rate_unit}]", turning))
     said = "Reynolds stresses without the noise of the correlation, and the vorticity of the mean."
-    page.figure("stresses", maps_figure(mean, scene, maps), said, dense=True)
+    page.figure("stresses", maps_figure(mean, scene, maps, mean.length), said, dense=True)
     _mass(page, mean, regions, axis, bool(scene.bodies))
     page.heading("Convergence")
     if len(found.pairs):

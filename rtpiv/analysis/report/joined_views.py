@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtpiv.analysis.digits import two_digits
-from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, colour_bar, draw_outlines, plane_panels
 from rtpiv.analysis.report.figures import vector_figure
+from rtpiv.analysis.report.flow import maps_figure
 from rtpiv.analysis.report.page import Link, Page
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.series.joined_views import JoinedViews
@@ -16,8 +15,6 @@ from rtpiv.analysis.series.mean_flow import image_field
 from rtpiv.analysis.series.series_folder import MEAN
 from rtpiv.analysis.series.series_view import SeriesView
 from rtpiv.analysis.through_glass import percent
-
-SCALE_PERCENTILE = 99.0  # percentile at the ends of a colour scale
 
 
 def write_views_page(path: Path, series: Sequence[SeriesView], joined: JoinedViews) -> None:
@@ -44,12 +41,12 @@ def write_views_page(path: Path, series: Sequence[SeriesView], joined: JoinedVie
         drawn = vector_figure(field, first.grid, first.scene, speed[::-1], f"mean speed in the plane [{unit}]")
         page.figure("mean", drawn, "Mean velocity in the plane, from all views.", dense=True)
         if np.isfinite(joined.uvw_m_s[..., 2]).any():
-            w = _map_figure(joined, joined.uvw_m_s[..., 2], first, f"w [{unit}]")
+            w = maps_figure(joined, first.scene, [(f"w [{unit}]", joined.uvw_m_s[..., 2])])
             page.figure(
                 "mean_w", w, "Mean velocity through the sheet, towards the cameras; grey: not known.", dense=True
             )
     with page.row():
-        views = _map_figure(joined, joined.views.astype(np.float64), first, "views")
+        views = maps_figure(joined, first.scene, [("views", joined.views.astype(np.float64))])
         page.figure("views", views, "Number of views that have a mean.", dense=True)
         sigma = vector_figure(
             field,
@@ -95,27 +92,3 @@ def _table(series: Sequence[SeriesView], joined: JoinedViews) -> Table:
         rows.append((str(number + 1), view.about["run"], f"{x:.0f}, {y:.0f}, {z:.0f}", str(seen), share, without))
     head = ("view", "run", "camera at [mm]", "places", "recovered", "residual without it [sigma]")
     return Table("The views; recovered is the share of what the glass hides from the first", head, rows)
-
-
-def _map_figure(joined: JoinedViews, values: NDArray[np.float64], view: SeriesView, label: str) -> Figure:
-    """Draw values (ny, nx) in colours, those of either sign evenly about zero."""
-    x, y = joined.x_mm, joined.y_mm
-    half = 0.5 * view.windows.step_px * view.grid.pitch_mm
-    extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
-    figure, (axes,) = plane_panels((extent[3] - extent[2]) / (extent[1] - extent[0]))
-    end = max(float(np.nanpercentile(np.abs(values), SCALE_PERCENTILE)), 1e-12)
-    signed = bool(np.nanmin(values) < 0.0)
-    image = axes.imshow(
-        values,
-        extent=extent,
-        origin="lower",
-        cmap="RdBu_r" if signed else "viridis",
-        vmin=-end if signed else 0.0,
-        vmax=end,
-        interpolation="nearest",
-    )
-    axes.set_facecolor(NOTHING)
-    draw_outlines(axes, view.scene, names=False)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
-    colour_bar(image, axes, label, "both" if signed else "max")
-    return figure
