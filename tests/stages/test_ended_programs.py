@@ -3,7 +3,7 @@
 import pytest
 
 from tests.slow_cases import slow
-from tests.stages.killed import Killed, ToldWatchdog
+from tests.stages.killed import Killed, ToldWatchdog, places
 
 WATCHDOG_S = (0.02, 0.05, 0.1, 0.22)  # after a kill, when it writes what stops
 BRAKED_S = 1.0  # the last of these, and the ramp
@@ -62,23 +62,9 @@ def play(bench, driver, doing, how, place, what):
     return True
 
 
-def places(bench, driver, doing, number):
-    """Places spread over what passes on the line meanwhile and over the time it takes."""
-    made = begun(bench, driver)
-    before, begun_s = dict(made.line.hooks.passed), made.clock.now_s()
-    DOINGS[doing](made.stage)
-    took_s = made.clock.now_s() - begun_s
-    for what, count in made.line.hooks.passed.items():
-        passed = count - before[what]
-        for place in sorted({1 + passed * k // number for k in range(number)} if passed else ()):
-            yield place, what
-    for k in range(number):
-        yield took_s * (k + 0.5) / number, "seconds"
-
-
 def play_all(bench, driver, doing, how, number):
-    ended = 0
-    for place, what in places(bench, driver, doing, number):
+    made, ended = begun(bench, driver), 0
+    for place, what in places(made, lambda: DOINGS[doing](made.stage), number):
         try:
             ended += play(bench, driver, doing, how, place, what)
         except AssertionError as error:

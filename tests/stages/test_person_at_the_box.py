@@ -11,6 +11,7 @@ import pytest
 from sim.emulators.foreign_box import ForeignBox
 from stages.errors import MotionStopped, StageError
 from stages.protocols import grbl
+from tests.stages.killed import places
 
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 SHORT_MM = 0.1  # a stop so close before the end leaves no trace
@@ -98,32 +99,13 @@ def doings(made):
 
 def brisk_bench(bench, variant):
     kind, firmware = VARIANTS[variant]
-    made = bench(kind, firmware=firmware).homed({"a": 40.0, "b": 45.0})
-    return made
-
-
-def traffic(bench, variant, doing):
-    """What passes on the line meanwhile, and how long it takes."""
-    made = brisk_bench(bench, variant)
-    before, begun_s = dict(made.line.hooks.passed), made.clock.now_s()
-    doings(made)[doing]()
-    passed = {what: count - before[what] for what, count in made.line.hooks.passed.items()}
-    return passed, made.clock.now_s() - begun_s
-
-
-def places(bench, variant, doing, number):
-    """Places spread over the traffic, each with what is counted."""
-    passed, took_s = traffic(bench, variant, doing)
-    for what, count in passed.items():
-        for place in sorted({1 + count * k // number for k in range(number)} if count else ()):
-            yield place, what
-    for k in range(number):
-        yield took_s * (k + 0.5) / number, "seconds"
+    return bench(kind, firmware=firmware).homed({"a": 40.0, "b": 45.0})
 
 
 def play_all(bench, variant, doing, number):
     stopped = 0
-    for place, what in places(bench, variant, doing, number):
+    idle = brisk_bench(bench, variant)
+    for place, what in places(idle, doings(idle)[doing], number):
         made = brisk_bench(bench, variant)
         try:
             stopped += play(made, variant, doings(made)[doing], place, what)

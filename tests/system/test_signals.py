@@ -55,18 +55,6 @@ def test_stage_move(bench, number):
     assert "Traceback" not in errors
 
 
-@pytest.mark.slow  # the move above has the same way out
-@pytest.mark.parametrize("number", [*SIGNALS, signal.SIGKILL])
-def test_stage_home(bench, number):
-    process = bench.start("bench", "stage", "home", "rail_z")
-    begun(bench, "rail_z", process)
-    process.send_signal(number)
-    process.wait(60)
-    bench.rests()
-    assert not bench.world.motors["rail_z"].is_closed("low")
-    assert end(process)[0] == (-number if number == signal.SIGKILL else left_by(number))
-
-
 def acquiring(bench, **streams):
     """A run that begins with references."""
     (bench.folder / "plan.yaml").write_text(PLAN)

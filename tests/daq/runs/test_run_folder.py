@@ -127,14 +127,6 @@ def test_a_full_disk_is_named_and_leaves_no_half_file(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_damaged_frames_are_named(tmp_path):
-    path = tmp_path / "a.tif"
-    write_raw(path, np.zeros((4, 4), np.uint16), {})
-    path.write_bytes(path.read_bytes()[:40])
-    with pytest.raises(RunDamaged, match=r"a\.tif: is damaged"):
-        read_raw(path)
-
-
 def test_run_json_is_there_before_anything_else(tmp_path):
     folder = RunFolder.create(tmp_path / "runs", "my plan/../x", {"name": "x"})
     assert folder.path.parent == tmp_path / "runs"

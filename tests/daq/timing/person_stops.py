@@ -16,7 +16,7 @@ import argparse
 import math
 from collections import Counter
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions, Rules
@@ -53,10 +53,15 @@ FIRMWARE = {
 OTHERS = {
     "oltSync": (OltSyncBox, OltSyncEmulator, DIODE), "xmSync": (XmSyncBox, XmSyncEmulator, DIODE),
     "dg645": (Dg645Box, Dg645Emulator, DG645),
+    "dg645 2": (Dg645Box, partial(Dg645Emulator, ends="nothing"), DG645),
 }  # fmt: skip
 BOXES = (*FIRMWARE, *OTHERS)
 ENDS = ("Ctrl-C", "kill")  # of the program
 HOWS = ("STOP", "foreign off", "door", *ENDS)
+DARKENS = {  # a DG645, beside these
+    "power": lambda run: run.line.power_cycle(0.05),
+    "source": lambda run: (run.emulator.set_inside("TSRC", 1), run.emulator._end_periods()),
+}
 WATCHDOG_S = (0.05, 0.08, 0.13, 0.25)  # after a kill, when it writes off
 SAYS_NOTHING = {("oltSync", "STOP"), ("xmSync", "STOP")}  # the key of a diode laser, which no line reports
 
@@ -119,6 +124,8 @@ class Run:
             for after_s in WATCHDOG_S if self.watchdog.is_told else ():
                 self.clock.at(self.clock.now_s() + after_s, self.feed_off)
             raise Killed
+        elif self.how in DARKENS:
+            DARKENS[self.how](self)
         else:
             self.door.closed = False
             self.laser.switch_opened("the switch of the door is open")  # as the thread does that reads it

@@ -1,8 +1,10 @@
 """A person ends the light at any exchange, byte or time of a run: it stays off, and the run ends with an error."""
 
+from itertools import product
+
 import pytest
 
-from tests.daq.timing.person_stops import BOXES, HOWS, Run, listing, on_a_line, play
+from tests.daq.timing.person_stops import BOXES, DARKENS, HOWS, Run, listing, on_a_line, play
 from tests.loops import loop_over
 
 UNSEEN = "start"  # the string, or the six lines, that begin a burst; see `person_stops`
@@ -16,17 +18,24 @@ def require_dark(table):
 
 
 @loop_over("how", HOWS)
-@loop_over("box", [box for box in BOXES if "all" not in box and "state" not in box])
+@loop_over("box", [box for box in BOXES if not {"all", "state", "2"} & {*box.split()}])
 def test_nothing_leaves_after_a_person_has_ended_it(box, how):
     """A few moments of each box and way: together they fall into every phase of a run."""
     require_dark(listing(box, how, "write", 3))
     require_dark(listing(box, how, "time", 2))
 
 
+DG645S = [(box, how) for box in BOXES if "dg645" in box for how in DARKENS]
+
+
+@loop_over("box, how", DG645S)
+def test_nothing_leaves_a_delay_generator_that_is_dark_for_another_reason(box, how):
+    require_dark(listing(box, how, "byte", 8))
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("how", HOWS)
-@pytest.mark.parametrize("box", BOXES)
+@pytest.mark.parametrize(("box", "how"), [*product(BOXES, HOWS), *DG645S])
 def test_nothing_leaves_after_a_person_has_ended_it_at_every_exchange(box, how):
     table = listing(box, how)
     require_dark(table)

@@ -24,6 +24,7 @@ from sim.timing_boxes.srs_dg645 import Dg645Emulator
 from stages.errors import StageError
 from tests.daq.bench.test_timing_kind import bench_with
 from tests.daq.runner.test_laser_trials import AtPlug, Hands
+from tests.daq.timing.person_stops import DARKENS
 
 WIRING = {Role.Q_SWITCH_1: "AB", Role.Q_SWITCH_2: "CD", Role.CAMERA: "EF", Role.MARKER: "GH"}
 LIGHT = ("AB", "CD")
@@ -116,56 +117,9 @@ def off_from_elsewhere(d):
         d.emulator.feed(data)
 
 
-def loses_power(d):
-    d.line.power_cycle(0.05)
-
-
 ENDS = {
-    "keys": lambda d: d.emulator.person_stops(), "laser off": off_from_elsewhere, "power": loses_power,
-    "trigger source": lambda d: (d.emulator.set_inside("TSRC", 1), d.emulator._end_periods()),
+    "keys": lambda d: d.emulator.person_stops(), "laser off": off_from_elsewhere, **DARKENS,
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("every", [53, pytest.param(1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("ends", ["mode", "nothing"])
-@pytest.mark.parametrize("person", ENDS)
-def test_no_pulse_follows_an_off_that_is_not_ours_at_any_byte(person, ends, every):
-    """From opening to the end of a burst, byte by byte of what the host says; a person has not released it."""
-    with desk() as d:
-        d.to_armed()
-        d.burst(3)
-        total = d.line.hooks.passed["byte"]
-    seen = 0
-    for byte in range(1, total, every):
-        with desk(ends=ends) as d:
-            acted_s, load, loaded_s = [], d.box.load, []
-
-            def load_and_note(schedule, d=d, load=load, loaded_s=loaded_s):
-                loaded = load(schedule)
-                loaded_s.append(d.clock.now_s())
-                return loaded
-
-            d.box.load = load_and_note
-
-            def act(d=d, acted_s=acted_s):
-                ENDS[person](d)
-                acted_s.append(d.clock.now_s())
-
-            d.line.hooks.after(byte, "byte", act)
-            try:
-                d.to_armed()
-                d.burst(30)
-            except (DaqError, StageError):
-                pass
-            d.clock.sleep_s(5.0)
-            d.emulator.advance()
-            if acted_s:
-                late = [at_s for at_s in d.light_s if at_s > acted_s[0] + 0.3]
-                # off before the box was opened, or before it was loaded, is followed by a person's release
-                is_released = bool(loaded_s) and acted_s[0] < loaded_s[-1]
-                seen += not is_released
-                assert not late or is_released, (byte, late[:3], acted_s)
-    assert seen > 200 // every
 
 
 def test_an_off_between_two_chunks_holds_though_dt_is_set_anew():
