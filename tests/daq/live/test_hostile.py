@@ -81,11 +81,11 @@ def test_a_viewer_who_looks_everywhere_in_one_picture_fills_no_memory() -> None:
         with viewer(page) as found:
             taken(found)
             begun_mb = memory_mb(page.server_pid)
-            for left in range(60):
+            for left in range(20):
                 found.send("{}")
                 found.send(json.dumps({"now": True, "part": [left, 0, 940]}))
                 taken(found)
-            assert memory_mb(page.server_pid) - begun_mb < 60.0  # 200 MB were sent
+            assert memory_mb(page.server_pid) - begun_mb < 40.0  # 70 MB were sent
 
 
 @pytest.mark.slow

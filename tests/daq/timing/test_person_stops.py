@@ -22,7 +22,7 @@ def require_dark(table):
 def test_nothing_leaves_after_a_person_has_ended_it(box, how):
     """A few moments of each box and way: together they fall into every phase of a run."""
     require_dark(listing(box, how, "write", 3))
-    require_dark(listing(box, how, "time", 2))
+    require_dark(listing(box, how, "time", 1))
 
 
 DG645S = [(box, how) for box in BOXES if "dg645" in box for how in DARKENS]

@@ -10,15 +10,10 @@ from daq.timing.protocols import pivlab_synchroniser, pulse_box, quantum_compose
 from stages.errors import ProtocolViolation
 from tests.documented import examples_of
 from tests.loops import loop_over
+from tests.stages.test_protocols import decode
 
 GRAMMARS = (quantum_composers, pivlab_synchroniser, pulse_box, srs_dg645)
 CLASSES = [(grammar, cls) for grammar in GRAMMARS for cls in (*grammar.COMMANDS, *grammar.ANSWERS)]
-
-
-def decode(grammar, cls, raw):
-    stream = grammar.CommandStream() if cls in grammar.COMMANDS else grammar.AnswerStream()
-    (message,) = stream.feed(raw)
-    return message
 
 
 @loop_over("grammar, cls", CLASSES)
