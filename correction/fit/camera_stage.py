@@ -41,7 +41,7 @@ from correction.fit.seen.measurement import (
 from correction.fit.seen.prediction import expect
 from correction.fit.solve.contact import clear_of, push_apart
 from correction.fit.solve.solver import Solution
-from correction.fit.solve.unknowns import Unknowns, lens_reach, unknowns_of
+from correction.fit.solve.unknowns import ASIDE, Unknowns, lens_reach, unknowns_of
 from correction.target.board_search import Predict, corners_in_view
 from correction.target.lattice_growth import LEAST_BOARD
 from correction.target.size_seen import size_seen
@@ -53,7 +53,7 @@ from tracer.scene.scene import Scene
 LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold short lenses
 DISTORTED = 0.1  # of a corner's distance from the axis, by a term: those of long lenses are large numbers
 HEIGHTS_FREED = 0.05  # share by which all heights of the target may be off
-FAR_OR_LARGE = ("camera.z", "camera.focal_px", "print.")  # numbers that are seen as one: how large the board is
+FAR_OR_LARGE = ("camera.z", "camera.focal_px", "print.st")  # numbers that are seen as one: how large the board is
 MORE = 1.05  # times as many corners that the bare target shows without glass
 ON_BARE = ("camera.", "target", "print.")  # numbers that the bare target tells of
 CAMERA_SIGMAS = 3.0  # sigmas that the camera may be off
@@ -177,11 +177,12 @@ def _fit_camera(
     work: Progress, frames: Sequence[TargetFrame], reach: float | None = None
 ) -> tuple[Unknowns, Solution]:
     """Find the bare target in more frames, one by one, and fit the camera to all there are."""
-    unknowns = work.unknowns.only((*ON_BARE, *work.walls))
     for frame in frames:
         number = work.height_number(frame)
         found, work.board = bare_frame(frame, work.board, _predict_view(work, frame, work.full), number, reach)
         work.bare.append(found)
+        _allow_shadows(work, found)
+        unknowns = work.unknowns.only((*ON_BARE, *work.walls))
         if found.origin_basis and reach is not None and work.board.dots is not None:
             basis = (
                 f"rests on {found.origin_basis}, as no mark is in view: an error of whole pitches would not show"
@@ -189,6 +190,26 @@ def _fit_camera(
             work.note(FitStep(f"the origin of the target {basis}"))
         solution = _fit_bare(work, unknowns, f"camera on {frame.name}", -1)
     return unknowns, solution
+
+
+def _allow_shadows(work: Progress, frame: MeasuredFrame) -> None:
+    """Let all dots of the other level of a plate be aside by as much as shadows make each of them uncertain."""
+    deep = frame.corners.depth_mm != 0.0
+    if deep.any():
+        per_px = work.board.square_mm / np.sqrt(np.abs(np.linalg.det(frame.axes_px[deep])))
+        spread_mm = np.linalg.norm(frame.sigma_px[deep], axis=1) * per_px
+        work.shadow_mm = max(work.shadow_mm, float(np.median(spread_mm)))
+        work.unknowns = work.unknowns.loosen(ASIDE, work.shadow_mm)
+
+
+def _shadows_in_words(work: Progress) -> str:
+    """Say that shadows make the other level of a plate less certain than its maker does."""
+    if not work.shadow_mm > work.board.step_sigma_mm:
+        return ""
+    return (
+        f"shadows of its grooves cut dots of the other level of the plate by some {work.shadow_mm:.2g} mm; light it"
+        " along the grooves, or from both sides"
+    )
 
 
 def _predict_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64]) -> Predict:
@@ -368,6 +389,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             lens
             or _heights_exchanged(work)
             or size_told(work)
+            or _shadows_in_words(work)
             or "the corners of the bare target do not fit any camera near the nominal one; check square_mm,"
             " free more lens terms in the fit section, or check that the board is flat",
         )

@@ -113,6 +113,7 @@ def _try_levels(work: Progress, levels: str) -> _Tried:
     step_mm = dots.step_mm or LOOKED_AT * pitch_mm
     board = replace(work.board, dots=replace(dots, levels=levels, step_mm=step_mm), step_sigma_mm=FREE * pitch_mm)
     unknowns = work.unknowns_of(work.nominal, work.priors, board=board).only((*ON_BARE, *work.walls))
+    unknowns = unknowns.without("print.aside")  # a step that is free so far would be free aside as well
     frames = [
         replace(frame, corners=replace(frame.corners, depth_mm=board.depth_mm(frame.index))) for frame in work.bare
     ]

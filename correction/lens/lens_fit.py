@@ -53,14 +53,14 @@ class SeenBoard(NamedTuple):
     ----------
     tag : str
         Name of the frame.
-    plane_mm : (N, 2) float64
-        Places on the board.
+    place_mm : (N, 3) float64
+        x, y and z on the board.
     position_px, sigma_px : (N, 2) float64
         u, v in the frame and their standard deviations.
     """
 
     tag: str
-    plane_mm: NDArray[np.float64]
+    place_mm: NDArray[np.float64]
     position_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
 
@@ -181,7 +181,7 @@ def fit_lens(
     """
     if len(boards) < LEAST_POSES:
         raise ViewsMissing(f"{len(boards)} frames show the board; {LEAST_POSES} are needed, 10 to 20 are good")
-    every = [np.ones(len(each.plane_mm), bool) for each in boards]
+    every = [np.ones(len(each.place_mm), bool) for each in boards]
     # Once with everything and pixels of any shape, then without what scatters more than the rest.
     first, left = _adjust(_start(boards, sensor_px), boards, every, FREE)
     scaled = [np.abs(each / board.sigma_px).max(axis=1) for each, board in zip(left, boards, strict=True)]
@@ -243,7 +243,9 @@ def _start(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> _Numbers:
     """Return numbers by OpenCV, with the first of its radial terms turned about."""
     import cv2
 
-    plane = [np.column_stack((each.plane_mm, np.zeros(len(each.plane_mm)))).astype(np.float32) for each in boards]
+    plane = [
+        (each.place_mm * (1.0, 1.0, 0.0)).astype(np.float32) for each in boards
+    ]  # it starts from flat boards alone
     pixel = [each.position_px.astype(np.float32) for each in boards]
     _, matrix, terms, turns, shifts = cv2.calibrateCamera(
         plane, pixel, sensor_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
@@ -271,7 +273,7 @@ def _residual(shared: NDArray[np.float64], pose: NDArray[np.float64], board: See
     inverse of d ideal / d acquired: exact to first order in a residual, which is a small part of a pixel.
     """
     seen, by_acquired, _ = _ideal(shared, board.position_px)
-    off = seen - _project(shared, pose, board.plane_mm)[0]
+    off = seen - _project(shared, pose, board.place_mm)[0]
     return np.asarray(np.linalg.solve(by_acquired, off[..., None])[..., 0])
 
 
@@ -302,16 +304,15 @@ def _ideal(
 
 
 def _project(
-    shared: NDArray[np.float64], pose: NDArray[np.float64], plane_mm: NDArray[np.float64]
+    shared: NDArray[np.float64], pose: NDArray[np.float64], place_mm: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Ideal pixels (N, 2) of a board, derivatives by shared numbers (N, 2, 9) and by its pose (N, 2, 6)."""
     import cv2
 
     matrix = np.array(((shared[0], 0.0, shared[1]), (0.0, shared[0], shared[2]), (0.0, 0.0, 1.0)))
-    space = np.column_stack((plane_mm, np.zeros(len(plane_mm))))
-    pixel, by = cv2.projectPoints(space, pose[:3], pose[3:], matrix, None)
-    by = by.reshape(len(plane_mm), 2, -1)
-    by_shared = np.zeros((len(plane_mm), 2, len(shared)))
+    pixel, by = cv2.projectPoints(place_mm, pose[:3], pose[3:], matrix, None)
+    by = by.reshape(len(place_mm), 2, -1)
+    by_shared = np.zeros((len(place_mm), 2, len(shared)))
     by_shared[..., 0] = by[..., 6] + by[..., 7]
     by_shared[..., 1:3] = by[..., 8:10]
     return np.asarray(pixel[:, 0], np.float64), by_shared, np.asarray(by[..., :6], np.float64)
@@ -323,7 +324,7 @@ def _linearise(numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[ND
     out = []
     for board, own, pose in zip(boards, used, numbers.poses, strict=True):
         seen, by_acquired, by_lens = _ideal(numbers.shared, board.position_px[own])
-        computed, by_shared, by_pose = _project(numbers.shared, pose, board.plane_mm[own])
+        computed, by_shared, by_pose = _project(numbers.shared, pose, board.place_mm[own])
         every = np.concatenate(
             ((by_shared - by_lens) * scale, by_pose * pose_scale, (seen - computed)[..., None]), axis=-1
         )

@@ -266,7 +266,10 @@ def free_rates(
     if corners.depth_mm.any():
         normal = np.array(unknowns.pose(full, corners.height_number).axes[2])
         by_depth = rays.rate[:, :, -len(TARGET) : -3] @ normal
-        by_print += (by_depth * corners.depth_mm[:, None])[:, :, None] * unknowns.columns[-1]
+        step, *aside = unknowns.columns[unknowns.print_place.stop :]
+        by_print += (by_depth * corners.depth_mm[:, None])[:, :, None] * step
+        if aside:
+            by_print += (corners.depth_mm != 0.0)[:, None, None] * np.array(aside)
     return np.asarray(of_rays - by_print)
 
 
@@ -274,7 +277,7 @@ def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> R
     """Residuals of corners at the free vector x."""
     full = unknowns.full(x)
     rays = land_corners(unknowns, full, corners)
-    off = rays.point_mm - unknowns.stretch(full)[:2] * corners.node_mm
+    off = rays.point_mm - unknowns.printed_mm(full, corners.node_mm, corners.depth_mm)
     rate = free_rates(unknowns, full, corners, rays)
     if isinstance(corners.whiten, float):
         return Residuals(off / corners.whiten, rate / corners.whiten)

@@ -3,11 +3,12 @@
 All numbers of the bench stand in one FULL vector:
 
     camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
-                | 45 of each ball out of round | 6 of each pose of the target | 2 or 3 of the print
+                | 45 of each ball out of round | 6 of each pose of the target | 2 or 5 of the print
 
 in the units of `tracer.strategies.sensitivity`; the last ones are by how much of itself the print is wider and
-higher than it was measured, and the step of a plate with two levels deeper.  The FREE vector x is
-shorter and in units of the prior's sigmas:
+higher than it was measured, and of a plate with two levels by how much the step is deeper, and how far the dots of
+the other level stand aside of their places, as shadows of its grooves show them.  The FREE vector x is shorter and
+in units of the prior's sigmas:
 
     full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
 
@@ -45,7 +46,8 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
 from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
-PRINT = ("stretch_x", "stretch_y", "step")  # the last one of plates with two levels alone
+ASIDE = ("print.aside_x", "print.aside_y")  # the other level of a plate [mm]
+PRINT = ("print.stretch_x", "print.stretch_y", "print.step", *ASIDE)  # the last three of plates with two levels
 BY_HAND = (1000.0, 1.0)  # mm, rad: sigma of a pose by hand, so wide that frames alone decide
 NOTHING_BY_HAND: Mapping[str, NDArray[np.float64]] = {}
 SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
@@ -155,11 +157,19 @@ class Unknowns:
 
     def stretch(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
         """Scale (2 or 3,) of the print against its measured size: in width, height, and a plate's depth."""
-        return np.asarray(1.0 + full[self.print_place.start :])
+        return np.asarray(1.0 + full[self.print_place.start :][:3])
 
     def deeper(self, full: NDArray[np.float64]) -> float:
         """Scale of the step of a plate against its measured one; 1 of all else."""
         return float(self.stretch(full)[2:].prod())
+
+    def printed_mm(
+        self, full: NDArray[np.float64], node_mm: NDArray[np.float64], depth_mm: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Places (N, 2) on the target of marks that were measured at `node_mm` (N, 2), at depths (N,)."""
+        aside = full[self.print_place.stop + 1 :]
+        stretched = self.stretch(full)[:2] * node_mm
+        return np.asarray(stretched + (depth_mm != 0.0)[:, None] * aside if len(aside) else stretched)
 
     def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
         """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
@@ -318,7 +328,8 @@ def unknowns_of(
     travel : (float, float, float)
         Unit vector along which the stage moves the target to its heights.
     print_sigma : tuple of float
-        How well width and height of the print are known, and the step of a plate, as shares of them.
+        How well width and height of the print are known, and the step of a plate, as shares of them; then how
+        well the place of its other level is, along x and y [mm].
     poses : dict
         Name of each pose by hand -> where it is looked for first (6,) [mm, rad]; nothing is known of it before.
     """
@@ -359,8 +370,7 @@ def unknowns_of(
     for pose, looked_for in poses.items():
         labels = [f"{pose_label(pose)}{part}" for part in TARGET]
         start.add(labels, looked_for.tolist(), np.repeat(BY_HAND, 3).tolist())
-    printed = [f"print.{part}" for part in PRINT[: len(print_sigma)]]
-    start.add(printed, [0.0] * len(printed), print_sigma)
+    start.add(PRINT[: len(print_sigma)], np.zeros(len(print_sigma)).tolist(), print_sigma)
     for place, spread_of in enumerate(start.sigmas):
         if spread_of > 0.0:
             column = np.zeros(len(start.names))
@@ -411,7 +421,7 @@ def _pose_of(numbers: tuple[float, ...]) -> TargetPose:
 def unit_of(name: str) -> tuple[str, float]:
     """Unit in which a number is shown to people, and the factor to it from the unit of its value."""
     part = name.rsplit(".", 1)[-1]
-    if part in ("x", "y", "z", "radius", "distance", "thickness", "outer_radius", "inner_radius"):
+    if part in ("x", "y", "z", "radius", "distance", "thickness", "outer_radius", "inner_radius") or name in ASIDE:
         return "mm", 1.0
     if part in ("rx", "ry", "rz", "tilt_x", "tilt_y", "tilt_z"):
         return "deg", float(np.rad2deg(1.0))

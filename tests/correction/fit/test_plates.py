@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 
 from correction.errors import FitFailed
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.bent_view import window_bias
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import expect, measure, on_each_level
-from correction.fit.solve.solver import Corners, land_corners
+from correction.fit.solve.solver import Corners, land_corners, residuals
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, demo_scene, misalign
@@ -18,6 +19,7 @@ from sim.renderer.patterns import DotGrid, Plate
 from sim.renderer.render import render, render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.test_dots import EXACT
+from tests.correction.target import photographed_plates
 from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
 from tracer.camera import Camera, Lens, look_at
@@ -60,6 +62,23 @@ def test_marks_of_a_level_land_where_its_plane_is(levels):
     deeper = scene.camera.project(board.stretch((1.0, 1.0, 1.1)).place_mm(index))
     moved = replace(corners, pixel=deeper)
     assert np.abs(land_corners(bench, full, moved).point_mm - board.corner_mm(index)).max() < 1e-9
+
+
+def test_marks_of_the_other_level_are_expected_aside_as_far_as_they_stand_and_residuals_follow():
+    board, _ = plate("rows", 2.0)
+    scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 4).with_bodies(())
+    known = (*board.print_sigma, 0.02, 0.02)
+    bench = unknowns_of(scene, [0.0], FitTable(), print_sigma=known).only(("print.",))
+    index = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
+    deep, aside = board.depth_mm(index) != 0.0, np.array((0.03, -0.05, 0.0))
+    pixel = scene.camera.project(board.place_mm(index) + deep[:, None] * aside)
+    corners = Corners(0, True, pixel, board.corner_mm(index), np.eye(2)[None].repeat(81, 0), board.depth_mm(index))
+    x = np.array((0.0, 0.0, 0.0, 1.5, -2.5))
+    part = residuals(bench, x, corners)
+    assert np.abs(part.value).max() < 1e-9
+    before = residuals(bench, 0.0 * x, corners).value
+    assert np.abs(before + part.rate @ x).max() < 1e-3 * np.abs(before).max()
+    assert np.abs(before[~deep]).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -116,7 +135,7 @@ def camera_at(position, rotation, focal_px, principal_px):
     return Camera(focal_px, principal_px, SENSOR_PX, position, rotation, Lens())
 
 
-def of_one_frame(degrees, levels, seed):
+def of_one_frame(degrees, levels, seed, step_sigma_mm=SIGMA["step_sigma_mm"]):
     """Errors (6,) of a camera found from one bare frame, by a lens that nobody knows, and their sigmas (6,)."""
     rng, middle = np.random.default_rng((seed, 9)), tuple(0.5 * (side - 1) for side in SENSOR_PX)
     slant = np.deg2rad(degrees)
@@ -131,9 +150,9 @@ def of_one_frame(degrees, levels, seed):
     scale = tuple((1.0 + SIGMA["scale_sigma"][0] * rng.normal(size=2)).tolist())
     dots = paper.dots
     if levels:  # as well as its maker knows
-        dots = replace(dots, step_mm=dots.step_mm + SIGMA["step_sigma_mm"] * rng.normal())
+        dots = replace(dots, step_mm=dots.step_mm + step_sigma_mm * rng.normal())
     image = render(Scene(true, ()), replace(paper, dots=dots, scale=scale), Sensor(), samples=4, seed=seed)
-    board = replace(board, scale_sigma=SIGMA["scale_sigma"])
+    board = replace(board, scale_sigma=SIGMA["scale_sigma"], step_sigma_mm=step_sigma_mm if levels else 0.0)
     fit = fit_scene(Scene(nominal, ()), [TargetFrame("clear", image, False)], board, FitTable(camera=FREE))
     found, rows = fit.scene.camera, [fit.unknowns.full_names.index(f"camera.{name}") for name in NUMBERS]
     sigma = np.sqrt(np.sum(fit.root[rows] ** 2, axis=1))
@@ -154,6 +173,27 @@ def test_a_plate_seen_straight_on_says_what_a_flat_board_leaves_to_the_lens():
     """Distance and principal axis: with one level they move with focal length and turn, and no frame tells."""
     _, flat = of_one_frame(0.0, "", 0)
     _, levels = of_one_frame(0.0, "rows", 0)
+    _, exact = of_one_frame(0.0, "rows", 0, step_sigma_mm=5e-4)  # 0.01 mm aside look like a turn of 0.6 degrees
     names = {name: n for n, name in enumerate(NUMBERS)}
-    for name in ("z", "focal_px", "cu", "cv"):
-        assert levels[names[name]] < 0.5 * flat[names[name]], name
+    for name, sigma in (("z", levels), ("focal_px", levels), ("cu", exact), ("cv", exact)):
+        assert sigma[names[name]] < 0.5 * flat[names[name]], name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "aside_mm"), [(406, 0.032), (410, -0.037), (412, 0.31)])
+def test_shadows_that_shift_a_whole_level_leave_the_camera_where_it_is(seed, aside_mm, monkeypatch):
+    view_at = photographed_plates.view_at
+    monkeypatch.setattr(photographed_plates, "STYLES", ("plain",) * 7)
+    monkeypatch.setattr(photographed_plates, "view_at", lambda *words: view_at(*words[:-1], 0.0))  # no lens
+    image, made, view, _ = photographed_plates.photograph(seed, bright_dots=False)
+    rng, size = np.random.default_rng(seed), image.shape[::-1]
+    turn = scipy.spatial.transform.Rotation.from_rotvec(rng.normal(0.0, 0.005, 3)).as_matrix()
+    place = tuple((view.place_mm + rng.normal(0.0, 4.0, 3)).tolist())
+    rotation, middle = tuple(map(tuple, (view.axes @ turn).tolist())), tuple(view.middle_px.tolist())
+    nominal = Camera(view.focal_px, middle, size, place, rotation, Lens())
+    known = FitTable(camera=FitCameraTable(position_mm=20.0, rotation_deg=3.0))
+    fit = fit_scene(Scene(nominal, ()), [TargetFrame("clear", image, False)], made.board, known)
+    rows = [fit.unknowns.full_names.index(name) for name in ("camera.x", "camera.y", "camera.z", "print.aside_y")]
+    found, sigma = fit.unknowns.full(fit.x)[rows], np.sqrt(np.sum(fit.root[rows] ** 2, axis=1))
+    assert np.abs((found[:3] - view.place_mm) / sigma[:3]).max() < 4.0
+    assert found[3] == pytest.approx(aside_mm, abs=0.01)  # of the shadow

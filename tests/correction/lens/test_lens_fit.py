@@ -20,8 +20,9 @@ def matrix_of(focal, middle=(0.0, 0.0), high=1.0):
     return np.array(((focal, 0.0, 640.0 + middle[0]), (0.0, focal / high, 512.0 + middle[1]), (0.0, 0.0, 1.0)))
 
 
-def boards(rng, matrix, terms, count=10, tilt_deg=22.0, noise_px=0.05, bent_mm=0.0):
-    """Boards as OpenCV projects them; bent ones are no plane."""
+def boards(rng, matrix, terms, count=10, tilt_deg=22.0, noise_px=0.05, bent_mm=0.0, step_mm=0.0):
+    """Boards as OpenCV projects them; bent ones are no plane, those with a step have every second column deeper."""
+    places = np.column_stack((PLACES, step_mm * (np.arange(len(PLACES)) % 2)))
     out = []
     focal = matrix[0, 0]
     while len(out) < count:
@@ -29,22 +30,22 @@ def boards(rng, matrix, terms, count=10, tilt_deg=22.0, noise_px=0.05, bent_mm=0
         shift = far * np.array((*(rng.uniform(-0.3, 0.3, 2) * SENSOR / focal), 1.0))
         x, y = PLACES.T / 50.0
         depth = bent_mm * (rng.normal() * x * x + rng.normal() * y * y + rng.normal() * x * y)
-        space = np.column_stack((PLACES, depth))
+        space = places + np.column_stack((0.0 * PLACES, depth))
         pixel = cv2.projectPoints(space, rng.normal(0.0, np.radians(tilt_deg), 3), shift, matrix, terms)[0][:, 0]
         inside = ((pixel > 5.0) & (pixel < np.array(SENSOR) - 5.0)).all(axis=1)
         if inside.sum() > 30:
             seen = pixel[inside] + rng.normal(0.0, noise_px, (inside.sum(), 2))
-            out.append(SeenBoard(f"{len(out)}.png", PLACES[inside], seen, np.full_like(seen, noise_px)))
+            out.append(SeenBoard(f"{len(out)}.png", places[inside], seen, np.full_like(seen, noise_px)))
     return out
 
 
 def test_numbers_lie_where_their_sigma_says():
     rng = np.random.default_rng(3)
     pulls = []
-    for bent_mm in (0.0, 0.1, 0.1) * 4:
+    for bent_mm, step_mm in ((0.0, 0.0), (0.1, 0.0), (0.0, 2.0)) * 4:
         focal, middle = rng.uniform(1200.0, 3000.0), rng.normal(0.0, 15.0, 2)
         terms = np.r_[rng.normal(0.0, 0.1, 2), rng.normal(0.0, 0.0007, 2), 0.0]
-        found = fit_lens(boards(rng, matrix_of(focal, middle), terms, bent_mm=bent_mm), SENSOR)
+        found = fit_lens(boards(rng, matrix_of(focal, middle), terms, bent_mm=bent_mm, step_mm=step_mm), SENSOR)
         true = np.array((focal, 640.0 + middle[0], 512.0 + middle[1]))
         pulls.append((found.numbers[:3] - true) / found.sigma[:3])
         assert found.sigma[0] < 0.01 * focal
