@@ -204,11 +204,14 @@ def _allow_shadows(work: Progress, frame: MeasuredFrame) -> None:
 
 def _shadows_in_words(work: Progress) -> str:
     """Say that shadows make the other level of a plate less certain than its maker does."""
-    if not work.shadow_mm > work.board.step_sigma_mm:
+    names = work.unknowns.full_names
+    aside_mm = [abs(float(work.full[names.index(name)])) for name in ASIDE if name in names]
+    off_mm = max((work.shadow_mm, *aside_mm))
+    if not off_mm > work.board.step_sigma_mm:
         return ""
     return (
-        f"shadows of its grooves cut dots of the other level of the plate by some {work.shadow_mm:.2g} mm; light it"
-        " along the grooves, or from both sides"
+        f"dots of the other level of the plate are seen up to {off_mm:.2g} mm aside, as if shadows of its grooves"
+        " cut them; light it along the grooves or from both sides, or give a larger step_sigma_mm"
     )
 
 
@@ -404,6 +407,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             lens
             or _heights_exchanged(work)
             or size_told(work)
+            or (_shadows_in_words(work) if name in ASIDE else "")
             or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
             " of the scene, or allow more in its fit section",
         )

@@ -243,9 +243,7 @@ def _start(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> _Numbers:
     """Return numbers by OpenCV, with the first of its radial terms turned about."""
     import cv2
 
-    plane = [
-        (each.place_mm * (1.0, 1.0, 0.0)).astype(np.float32) for each in boards
-    ]  # it starts from flat boards alone
+    plane = [(each.place_mm * (1.0, 1.0, 0.0)).astype(np.float32) for each in boards]
     pixel = [each.position_px.astype(np.float32) for each in boards]
     _, matrix, terms, turns, shifts = cv2.calibrateCamera(
         plane, pixel, sensor_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3

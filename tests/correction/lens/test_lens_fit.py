@@ -21,7 +21,7 @@ def matrix_of(focal, middle=(0.0, 0.0), high=1.0):
 
 
 def boards(rng, matrix, terms, count=10, tilt_deg=22.0, noise_px=0.05, bent_mm=0.0, step_mm=0.0):
-    """Boards as OpenCV projects them; bent ones are no plane, those with a step have every second column deeper."""
+    """Boards as OpenCV projects them; bent ones are no plane, of those with a step every second mark is deeper."""
     places = np.column_stack((PLACES, step_mm * (np.arange(len(PLACES)) % 2)))
     out = []
     focal = matrix[0, 0]
