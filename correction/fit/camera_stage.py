@@ -61,6 +61,10 @@ THROUGH_WALLS = 2  # times that corners of the bare target are measured again be
 COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 GRAIN_PX, STEEPEST = 1.0, 0.998  # smoothing against noise; quantile of slopes that is an edge's steepest
+SHADOWS = (
+    "dots of the other level of the plate are seen aside of their places, as if shadows of its grooves cut them;"
+    " light it along the grooves or from both sides, or give a larger step_sigma_mm"
+)
 BLURRED_PX, BLURRED = 2.0, 0.12  # pixels, and share of a square, from which an edge hides marks of 0.4 squares
 
 
@@ -200,19 +204,6 @@ def _allow_shadows(work: Progress, frame: MeasuredFrame) -> None:
         spread_mm = np.linalg.norm(frame.sigma_px[deep], axis=1) * per_px
         work.shadow_mm = max(work.shadow_mm, float(np.median(spread_mm)))
         work.unknowns = work.unknowns.loosen(ASIDE, work.shadow_mm)
-
-
-def _shadows_in_words(work: Progress) -> str:
-    """Say that shadows make the other level of a plate less certain than its maker does."""
-    names = work.unknowns.full_names
-    aside_mm = [abs(float(work.full[names.index(name)])) for name in ASIDE if name in names]
-    off_mm = max((work.shadow_mm, *aside_mm))
-    if not off_mm > work.board.step_sigma_mm:
-        return ""
-    return (
-        f"dots of the other level of the plate are seen up to {off_mm:.2g} mm aside, as if shadows of its grooves"
-        " cut them; light it along the grooves or from both sides, or give a larger step_sigma_mm"
-    )
 
 
 def _predict_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64]) -> Predict:
@@ -392,7 +383,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             lens
             or _heights_exchanged(work)
             or size_told(work)
-            or _shadows_in_words(work)
+            or (SHADOWS if work.shadow_mm > work.board.step_sigma_mm else "")
             or "the corners of the bare target do not fit any camera near the nominal one; check square_mm,"
             " free more lens terms in the fit section, or check that the board is flat",
         )
@@ -407,7 +398,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             lens
             or _heights_exchanged(work)
             or size_told(work)
-            or (_shadows_in_words(work) if name in ASIDE else "")
+            or (SHADOWS if name in ASIDE else "")
             or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
             " of the scene, or allow more in its fit section",
         )

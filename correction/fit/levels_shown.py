@@ -28,7 +28,7 @@ from tracer.board import Dots
 MUCH = 0.25  # of the squares: lines that a printer has set aside look like levels by a fiftieth
 CERTAIN = 30.0  # times what chance explains
 LOOKED_AT, FREE = 0.2, 2.0  # pitches: step of a pattern that is tried where none is described, and how free it is
-ON_BARE = ("camera.", "target", "print.")
+ON_BARE = ("camera.", "target", "print.st")  # a step that is free so far would be free aside as well
 CLEAR_STEP_SIGMAS = 3.0  # sigmas
 
 
@@ -113,7 +113,6 @@ def _try_levels(work: Progress, levels: str) -> _Tried:
     step_mm = dots.step_mm or LOOKED_AT * pitch_mm
     board = replace(work.board, dots=replace(dots, levels=levels, step_mm=step_mm), step_sigma_mm=FREE * pitch_mm)
     unknowns = work.unknowns_of(work.nominal, work.priors, board=board).only((*ON_BARE, *work.walls))
-    unknowns = unknowns.without("print.aside")  # a step that is free so far would be free aside as well
     frames = [
         replace(frame, corners=replace(frame.corners, depth_mm=board.depth_mm(frame.index))) for frame in work.bare
     ]

@@ -8,9 +8,7 @@ d0 from where the dot was looked for.  Ten numbers are free: p, L (three), the b
 light. Pixels up to PAPER_MARGIN_PX beyond the rim are asked, none farther than half a pitch along either axis, so
 that no other dot is among them; least squares by Levenberg and Marquardt, all dots of a size at once.  The
 covariance of p is the sandwich of MacKinnon and White (HC3; J. Econometrics 29, 305 (1985)) with the residuals of
-the dot itself.  A small dot has some twenty pixels on its rim, too few to say how large their residuals usually
-are, so it is at least the usual covariance times the median of what the sandwiches of all dots are of theirs.
-On a plate half of the width that a shadow takes from one side is added.
+the dot itself.  On a plate half of the width that a shadow takes from one side is added.
 
 What is found is the centre of the picture of a dot, which is not the picture of its centre: bent glass, and
 perspective, shift it, and the fit takes that off from where rays of its rim land (`correction.fit.seen.dot_rims`).
@@ -283,13 +281,7 @@ class _Batch:
         reach = jacobian @ inverse
         leverage = np.einsum("npi,npi->np", reach, jacobian)
         pull = reach[..., :2] * (residual / np.maximum(1.0 - leverage, 0.1))[..., None]
-        number = self.weight.sum(axis=1)
-        sandwich = pull.transpose(0, 2, 1) @ pull
-        noise = np.sum(residual**2, axis=1) / np.maximum(number - DOT_NUMBERS, 1.0)
-        usual = np.einsum("nii->n", inverse[:, :2, :2]) * noise
-        share = np.einsum("nii->n", sandwich) / np.maximum(usual, 1e-300)
-        wider = np.maximum(np.median(share) / np.maximum(share, 1e-300), 1.0)
-        return sandwich * wider[:, None, None], number
+        return pull.transpose(0, 2, 1) @ pull, self.weight.sum(axis=1)
 
     def _must_be_seen(self, verdict: NDArray[np.uint8]) -> None:
         """Name those whose rim is not all in the frame, or in what may be used."""

@@ -15,6 +15,7 @@ on, finished or not.
 """
 
 import os
+import shlex
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -116,7 +117,7 @@ def steps_to_retake(
         raise RunDamaged(
             f"{folder.path}: {len(faults)} of {len(counting)} frames are not what was written"
             f" ({name_faults(faults)}); restore them from a copy,"
-            f" or repeat their steps with rtpiv acquire --resume {folder.path} --retake"
+            f" or repeat their steps with rtpiv acquire --resume {shlex.quote(str(folder.path))} --retake"
         )
     return _with_partners({fault.step for fault in faults}, steps) & kept
 

@@ -79,8 +79,7 @@ def calibrate_lens(
                 missed[path.name] = str(error)
                 continue
             missed.pop(path.name, None)
-            place_mm = found.board.place_mm(found.index)
-            seen.append(SeenBoard(path.name, place_mm, found.position_px, found.sigma_px))
+            seen.append(SeenBoard(path.name, found.board.place_mm(found.index), found.position_px, found.sigma_px))
             if board.codes is not None and found.board != board:  # one frame shows the layout for all
                 board = found.board
                 waiting += [file for file in files if file.name in missed]

@@ -1,5 +1,6 @@
 """`rtpiv campaign`: evaluate and average many runs, on one computer or a cluster."""
 
+import shlex
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -162,7 +163,7 @@ def campaign(
         show_campaign(screen, states)
         require_finished(folder, states)
         if action == "run":
-            screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
+            screen.print(f"average with: rtpiv campaign merge -o {shlex.quote(str(folder.path))}")
         return states
 
 

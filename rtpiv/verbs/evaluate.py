@@ -1,6 +1,7 @@
 """`rtpiv evaluate`: evaluate image pairs: vectors, uncertainties and a page."""
 
 import json
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -190,7 +191,7 @@ def _series(
 
         write_series_page(series.out / "report.html", series, done, output.figures)
     look = f"look at {series.out / 'report.html'}; " if output.pictures else ""
-    average = f"average with: rtpiv mean {series.out}"
+    average = f"average with: rtpiv mean {shlex.quote(str(series.out))}"
     screen.print(f"{look}{average}")
     return replace(done, failed={**done.failed, **failed})
 

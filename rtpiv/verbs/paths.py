@@ -1,6 +1,7 @@
 """Files and folders given by the user."""
 
 import os
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -53,7 +54,7 @@ def one_of(named: Sequence[Named] | Named) -> Path:
             f"one folder is wanted, not {len(paths)}: {', '.join(map(str, paths))}; give one of them"
         )
     if len(set(map(main_run, paths))) < len(set(map(os.path.realpath, paths))):
-        named = " ".join(map(str, paths))
+        named = shlex.join(map(str, paths))
         raise RunUsageError(
             "these are cameras of one run, each with a view of its own; give one, or join them:"
             f" rtpiv mean --join {named}"

@@ -1,5 +1,7 @@
 """`rtpiv setup target`: write a calibration target to print, or record the size of a print."""
 
+import json
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -151,14 +153,13 @@ def target(
         many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
         screen.print(
             f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and record them:"
-            f" rtpiv setup target {kept} --measured-mm X Y",
+            f" rtpiv setup target {shlex.quote(str(kept))} --measured-mm X Y",
             soft_wrap=True,
             highlight=False,
         )
         if described is None and kind != "particles":
-            screen.print(
-                f"the line for a bench file: target: {{board: {kept.absolute()}}}", soft_wrap=True, highlight=False
-            )
+            place = json.dumps(str(kept.absolute()), ensure_ascii=False)  # also YAML, whatever is in it
+            screen.print(f"the line for a bench file: target: {{board: {place}}}", soft_wrap=True, highlight=False)
         return Target(board, printed.pages, path)
 
 

@@ -73,7 +73,7 @@ def on_moved_board(
     risen = (ways @ by)[:, RISE, None, None] / RISE_MM
     by_pixel = low.pixel_rate + risen * (high.pixel_rate - low.pixel_rate)
     rate = (rate + risen * (higher - rate))[:, :, : len(x)]
-    off = low.point_mm + by_board @ by - unknowns.printed_mm(full, corners.node_mm, corners.depth_mm)
+    off = low.point_mm + by_board @ by - unknowns.mark_places_mm(full, corners.node_mm, corners.depth_mm)
     to_sigma = np.full_like(by_pixel, np.nan)
     seen = np.isfinite(by_pixel).all(axis=(1, 2))
     to_sigma[seen] = np.asarray(corners.whiten)[seen] @ np.linalg.inv(by_pixel[seen])

@@ -277,7 +277,7 @@ def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> R
     """Residuals of corners at the free vector x."""
     full = unknowns.full(x)
     rays = land_corners(unknowns, full, corners)
-    off = rays.point_mm - unknowns.printed_mm(full, corners.node_mm, corners.depth_mm)
+    off = rays.point_mm - unknowns.mark_places_mm(full, corners.node_mm, corners.depth_mm)
     rate = free_rates(unknowns, full, corners, rays)
     if isinstance(corners.whiten, float):
         return Residuals(off / corners.whiten, rate / corners.whiten)

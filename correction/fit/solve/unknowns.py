@@ -163,7 +163,7 @@ class Unknowns:
         """Scale of the step of a plate against its measured one; 1 of all else."""
         return float(self.stretch(full)[2:].prod())
 
-    def printed_mm(
+    def mark_places_mm(
         self, full: NDArray[np.float64], node_mm: NDArray[np.float64], depth_mm: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Places (N, 2) on the target of marks that were measured at `node_mm` (N, 2), at depths (N,)."""

@@ -13,6 +13,7 @@ differences of their means from that of all, over their sigma, are 1 in rms if o
 import csv
 import io
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -94,11 +95,16 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     return merged
 
 
+def _run_again(folder: CampaignFolder) -> str:
+    """Return the command that evaluates what is missing."""
+    return f"give: rtpiv campaign run -o {shlex.quote(str(folder.path))}"
+
+
 def require_finished(folder: CampaignFolder, states: Sequence[RunStatus]) -> None:
     """Raise Unfinished if chunks are missing."""
     if missing := sum(state.chunks - state.done for state in states):
         text = f"{quantity(missing, 'chunk')} {'is' if missing == 1 else 'are'} missing"
-        raise Unfinished(text, place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}")
+        raise Unfinished(text, place=folder.path, cure=_run_again(folder))
 
 
 def write_index(folder: CampaignFolder) -> None:
@@ -112,7 +118,7 @@ def write_index(folder: CampaignFolder) -> None:
             path = chunk_path(series.path, number)
             marker = marker_of(path, key)
             if marker is None:
-                raise Unfinished("is gone again", place=path, cure=f"give: rtpiv campaign run -o {folder.path}")
+                raise Unfinished("is gone again", place=path, cure=_run_again(folder))
             file = path.relative_to(folder.path).as_posix()
             row = (marker.pairs, len(marker.failed), file, marker.size, marker.sha256, key)
             table.writerow((asked["name"], number, *row))

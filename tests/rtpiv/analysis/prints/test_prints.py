@@ -1,11 +1,13 @@
 """Targets on paper: read back from the PDF's own operators, and by detectors that are not ours."""
 
 import re
+import shlex
 import zlib
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from correction.target import Chessboard
 from correction.target.board_file import PrintedBoard, read_board
@@ -177,10 +179,15 @@ def test_the_squares_chosen_tell_most_of_the_ball_seen_worst(scene):
     assert min(chosen.behind.values()) > 200
 
 
-def test_a_board_file_keeps_what_the_bars_measure(tmp_path, capsys):
+def test_a_board_file_keeps_what_the_bars_measure_in_any_folder(tmp_path, capsys):
+    tmp_path = tmp_path / "Öl, {zwei}: b"
     assert main(["setup", "target", "-o", str(tmp_path)]) == 0
     assert read_board(tmp_path / "board.yaml").scale_sigma == (0.005, 0.005)
-    assert main(["setup", "target", str(tmp_path / "board.yaml"), "--measured-mm", "189.62", "280.28"]) == 0
+    printed = capsys.readouterr().out
+    line = re.search("bench file: (.*)", printed)[1]
+    assert yaml.safe_load(line) == {"target": {"board": str(tmp_path / "board.yaml")}}
+    command = shlex.split(re.search("rtpiv (.*) X Y", printed)[1])
+    assert main([*command, "189.62", "280.28"]) == 0
     board = read_board(tmp_path / "board.yaml")
     assert board.scale == pytest.approx((0.998, 1.001))
     assert board.scale_sigma == pytest.approx((0.1 / 190.0, 0.1 / 280.0))
