@@ -13,7 +13,8 @@ rail_z: {lead_mm: 5.0, steps_per_rev: 1600, travel_mm: 300.0, backlash_um: 50.0,
 firmware: {portal: {"23": 0}} # Grbl's $23: home towards the high switches
 prints_truth: true            # optional: a corner of every frame says what it shows; see frame_truth.py
 ring: frames/                 # optional: replay .npy frames instead of rendering
-aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}    # optional: a pupil, sharp so far ahead of the camera
+aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}    # optional: a pupil, sharp so far ahead of the camera;
+                              # sensor_tilt_deg: [0.0, 6.8] tilts the sensor against that lens, as in a scene file
 blur_px: 0.5                  # of lens and pixel
 uneven_light: 0.03            # brighter to the right and darker to the left by this share
 hand: {reads_um: 3.0, division_um: 10.0}    # who turns axes without a motor; see sim.emulators.by_hand
@@ -25,6 +26,7 @@ cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # option
 A rehearsal (daq.bench.rehearsal) says `schedule`, `recorded` and `keeps` beside them.
 """
 
+import math
 import platform
 import sys
 from collections.abc import Mapping
@@ -34,13 +36,14 @@ from pydantic import Field
 
 from daq.bench.bench_table import Bench
 from daq.bench.fault_table import Fault
-from ground.config import Document, Name, Table, validate
+from ground.config import Document, Name, Table, exactly, validate
 from sim.camera.config import FaultPlan
 from sim.flow.table import FlowTable
 from sim.frame_truth import WIDTH_PX, height_px
 from sim.renderer.render import Aperture
 from sim.stages import ScrewTable
 from tracer.errors import SceneError
+from tracer.scene.scene_tables import SensorTilt
 
 HAS_GENICAM = sys.platform == "linux" and platform.machine() == "x86_64"  # what `sim.camera.gentl.elf` writes
 
@@ -65,6 +68,7 @@ class ApertureTable(Table):
     f_mm: Annotated[float, Field(gt=0.0)]
     f_number: Annotated[float, Field(gt=0.0)]
     focus_mm: Annotated[float, Field(gt=0.0)]
+    sensor_tilt_deg: Annotated[list[SensorTilt], Field(min_length=2, max_length=2), exactly(2)] | None = None
 
 
 class FurtherCameraTable(Table):
@@ -123,7 +127,10 @@ class SimulationTable(Table):
     def pupil(self) -> Aperture | None:
         """The lens; None for a pinhole."""
         lens = self.aperture
-        return None if lens is None else Aperture(lens.f_mm, lens.f_number, lens.focus_mm)
+        if lens is None:
+            return None
+        tilt_x, tilt_y = map(math.radians, lens.sensor_tilt_deg or (0.0, 0.0))
+        return Aperture(lens.f_mm, lens.f_number, lens.focus_mm, (tilt_x, tilt_y))
 
 
 def simulation_of(bench: Bench) -> SimulationTable:

@@ -31,6 +31,7 @@ from sim.flow.kernels.splat import count_bands, order_by_band, splat
 from sim.flow.kernels.views import NUMBERS, ROUGH, Cells, Patches, cell_bins, find_images, judge_cells, trace_nodes
 from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, tables_of
+from tracer.camera import Camera
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 
@@ -162,7 +163,7 @@ class ParticleView:
             self._trace_grid(whole.patches[3:], _rough(whole), (FINER + 1, FINER + 1), True)
             for whole in self._whole
         ]
-        self.corners_mm = _extent(self._whole, self._bare_mm(), heights_mm)
+        self.corners_mm = _extent(self._whole, _bare_mm(scene.camera), heights_mm)
         self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm
         (x0, y0), (x1, y1) = self.corners_mm
         counts = [max(1.0, np.ceil((high - low) / self._edge_mm)) for low, high in ((y0, y1), (x0, x1))]
@@ -266,16 +267,15 @@ class ParticleView:
         cell_bins(*about, starts[:-1].copy(), entries)
         return _Table(grid, corner, starts, entries)
 
-    def _bare_mm(self) -> Float64:
-        """Corners of the view without glass at z = 0: (2, 2), low and high, x and y."""
-        height, width = self.shape
-        camera = self._tables.world.camera
-        focal, cu, cv = camera[:3]
-        rotation = camera[6:15].reshape(3, 3)
-        corners = np.array([[u, v] for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
-        rays = np.column_stack(((corners - (cu, cv)) / focal, np.ones(4))) @ rotation
-        places = camera[3:5] - rays[:, :2] / rays[:, 2:] * camera[5]
-        return np.array([places.min(axis=0), places.max(axis=0)])
+
+def _bare_mm(camera: Camera) -> Float64:
+    """Corners of the view without glass at z = 0: (2, 2), low and high, x and y."""
+    height, width = camera.shape
+    position, rotation = np.array(camera.position_mm), camera.rotation_matrix
+    corners = np.array([[u, v] for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
+    rays = np.column_stack(((corners - camera.principal_px) / camera.focal_px, np.ones(4))) @ rotation
+    places = position[:2] - rays[:, :2] / rays[:, 2:] * position[2]
+    return np.array([places.min(axis=0), places.max(axis=0)])
 
 
 def _rough(grid: _Grid) -> Float64:

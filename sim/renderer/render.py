@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ground.memory import require_memory
 from ground.rows import run_rows
@@ -23,6 +24,7 @@ from sim.renderer.kernels.walls import NUMBERS
 from sim.renderer.patterns import Pattern, Plate, Pose
 from sim.renderer.sensor import Sensor
 from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
+from tracer.camera import Camera
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 
@@ -36,6 +38,9 @@ PROBED_PX = 1500  # whose drawing is timed, 15 to 200 ms
 class Aperture:
     """A thin lens in place of the pinhole: its pupil has the diameter f / f_number.
 
+    With a tilted sensor the plane in focus is oblique: it meets the planes of lens and sensor in one line
+    (Scheimpflug).  The tilt changes what is sharp and the axis of lens terms, not where the pupil's middle looks.
+
     Parameters
     ----------
     f_mm : float
@@ -44,11 +49,14 @@ class Aperture:
         Aperture.
     focus_mm : float
         Distance pinhole to the plane in focus, along the optical axis.
+    sensor_tilt_rad : (float, float)
+        By which the sensor is turned against the lens, about its u axis, then about its own v axis.
     """
 
     f_mm: float
     f_number: float
     focus_mm: float
+    sensor_tilt_rad: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if min(self.f_mm, self.f_number, self.focus_mm) <= 0.0:
@@ -228,17 +236,14 @@ def tables_of(
     SceneError
         A body crosses the sheet, or is of a kind that has no optics here.
     """
-    camera, lens = scene.camera, scene.camera.lens
-    plane = pose.axes()
+    camera, plane = scene.camera, pose.axes()
     bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm, is_light)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
     walls = [body for body in bodies if type(body) in WALLS]
     if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
-    pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
-    lens_and_place = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
     world = World(
-        camera=np.array([*lens_and_place, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
+        camera=_camera_numbers(scene.camera, aperture),
         spheres=ball_rows(scene, spheres),
         rods=as_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
         walls=as_rows(wall_rows(scene, walls), NUMBERS),
@@ -249,6 +254,27 @@ def tables_of(
     )
     away_mm = float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3]))
     return SceneTables(world, away_mm / camera.focal_px)
+
+
+def _camera_numbers(camera: Camera, aperture: Aperture | None) -> NDArray[np.float64]:
+    """Numbers of `camera_ray`; `camera` looks along the normal of its sensor, a lens that is tilted does not."""
+    lens, focal_px, principal_px = camera.lens, camera.focal_px, np.array(camera.principal_px)
+    radius_mm, focus_mm, per_mm, rotation = 0.0, 1.0, 0.0, camera.rotation_matrix
+    axes, nearest_mm = np.eye(3), focus_mm
+    if aperture is not None:
+        radius_mm, focus_mm = aperture.pupil_radius_mm, aperture.focus_mm
+        nearest_mm, per_mm = focus_mm, 1.0 / aperture.f_mm - 1.0 / focus_mm
+        if any(aperture.sensor_tilt_rad):
+            axes = Rotation.from_euler("XY", aperture.sensor_tilt_rad).as_matrix().T
+            focal_px = focal_px / axes[2, 2]  # along the axis of the lens, which meets the sensor there
+            principal_px = principal_px + focal_px * axes[:2, 2]
+            rotation = axes.T @ rotation
+            corners = np.array([[u, v] for u in (0, camera.sensor_px[0]) for v in (0, camera.sensor_px[1])])
+            back = 1.0 + (corners - principal_px) / focal_px @ axes[:2, 2]
+            nearest_mm = float(1.0 / np.abs(1.0 / focus_mm + per_mm * (1.0 - 1.0 / back)).max())
+    terms = (lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, radius_mm, focus_mm)
+    pose = (focal_px, *principal_px, *camera.position_mm, *rotation.ravel())
+    return np.array([*pose, *terms, *axes[:2].ravel(), per_mm, nearest_mm])
 
 
 def _in_front(

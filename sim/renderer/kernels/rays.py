@@ -215,16 +215,23 @@ def camera_ray(
 ) -> tuple[float, float, float, float, float, float]:
     """Origin and unit direction in the world of the ray through an acquired pixel and a point of the pupil.
 
-    `camera`: focal_px, c_u, c_v, pinhole (3), rotation (9), k1, k2, k3, p1, p2, pupil radius and focus depth [mm].
+    `camera`: focal_px, c_u, c_v, pinhole (3), rotation (9), k1, k2, k3, p1, p2, pupil radius and focus depth [mm];
+    of a tilted sensor also its axes in the frame of the lens (6), 1 / image distance and the nearest focus [mm].
     """
     x, y = (u - camera[1]) / camera[0], (v - camera[2]) / camera[0]
+    focus = camera[21]
+    if camera[24] != 0.0 or camera[27] != 0.0:
+        # A pixel that lies farther behind the lens is sharp nearer to it: 1/focus + 1/image distance = 1/f.
+        back = 1.0 + x * camera[24] + y * camera[27]
+        x, y = (x * camera[22] + y * camera[25]) / back, (x * camera[23] + y * camera[26]) / back
+        focus /= 1.0 + focus * camera[28] * (1.0 - 1.0 / back)
     r2 = x * x + y * y
     gain = 1.0 + camera[15] * r2 + camera[16] * r2 * r2 + camera[17] * r2 * r2 * r2
     right = x * gain + 2.0 * camera[18] * x * y + camera[19] * (r2 + 2.0 * x * x)
     down = y * gain + camera[18] * (r2 + 2.0 * y * y) + 2.0 * camera[19] * x * y
     # A pupil point moves the origin sideways; all rays of a pixel meet again in the focus plane.
-    right -= lens_u / camera[21]
-    down -= lens_v / camera[21]
+    right -= lens_u / focus
+    down -= lens_v / focus
     length = np.sqrt(right * right + down * down + 1.0)
     return (
         camera[3] + lens_u * camera[6] + lens_v * camera[9],
@@ -246,7 +253,7 @@ def may_meet(u: float, v: float, camera: Float64, bounds: Float64) -> bool:
         off2 = x * x + y * y + z * z - depth * depth
         far = depth + bounds[index, 3]
         # Twice the pixel's half diagonal, and the pupil at its widest between camera and body.
-        reach = bounds[index, 3] + 1.5 * far / camera[0] + camera[20] * (1.0 + far / camera[21])
+        reach = bounds[index, 3] + 1.5 * far / camera[0] + camera[20] * (1.0 + far / camera[29])
         if far > 0.0 and off2 < reach * reach:
             return True
     return False

@@ -10,7 +10,7 @@ from sim.demo.scenes import SCENES, demo_scene, misalign
 from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.kernels.surfaces import World, entry_rod, entry_sphere, snell
 from sim.renderer.patterns import Pose
-from sim.renderer.render import tables_of
+from sim.renderer.render import Aperture, tables_of
 from tests.loops import loop_over
 from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
@@ -33,6 +33,24 @@ def world_of(spheres):
 
 def table(*rows):
     return np.array([(*row, 0.0) if len(row) == 5 else row for row in rows], dtype=np.float64).reshape(-1, 6)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.0])
+def test_a_tilted_sensor_is_sharp_on_an_oblique_plane(share):
+    """Scheimpflug: tan(tilt) = tan(41 degrees) f/(L - f); without the tilt rays of a pixel meet elsewhere."""
+    angle, image_mm = math.radians(41.0), 60.0 * 500.0 / 440.0
+    place = (500.0 * math.sin(angle), 0.0, 500.0 * math.cos(angle))
+    camera = Camera(image_mm / 0.02, (400.0, 300.0), (801, 601), place, look_at(place, (0.0, 0.0, 0.0)))
+    tilt = -share * math.atan(image_mm / 500.0 * math.tan(angle))
+    camera, lens = camera.with_tilted_sensor(0.0, tilt), Aperture(60.0, 2.0, 500.0, (0.0, tilt))
+    numbers = tables_of(Scene(camera, ()), Pose(), lens).world.camera
+    for pixel in ((0.0, 0.0), (123.0, 600.0), (800.0, 300.0)):
+        middle = camera_ray(*pixel, 0.0, 0.0, numbers)[3:]
+        assert middle == pytest.approx(camera.directions(np.array(pixel)), abs=1e-12)
+        rays = np.array([camera_ray(*pixel, *at, numbers) for at in ((-15.0, 0.0), (15.0, 0.0), (0.0, 15.0))])
+        met = rays[:, :2] - rays[:, 2:3] * rays[:, 3:5] / rays[:, 5:]
+        off = float(np.ptp(met, axis=0).max())
+        assert off < 1e-9 if share else off > 1.0
 
 
 def test_snell_at_thirty_degrees_into_glass():
@@ -170,8 +188,7 @@ def test_lens_terms_follow_the_documented_equation():
 
 def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
     camera = SCENES["tilted"]().camera
-    tables = tables_of(Scene(camera), Pose(), None)
-    tables.world.camera[20:] = 10.0, 430.0
+    tables = tables_of(Scene(camera), Pose(), Aperture(60.0, 3.0, 430.0))  # a pupil of 10 mm
     meeting = []
     for lens in ((0.0, 0.0), (10.0, 0.0), (-3.0, 7.0)):
         ray = np.array(camera_ray(300.0, 1500.0, *lens, tables.world.camera))
