@@ -16,7 +16,7 @@ derivatives G_k = dX/dp of the landing points: the disparity of view 2 against v
 
 Beside glass a shift of one camera looks like the opposite one of the other; behind a ball G is another, and only
 one of them looks through that ball at that place.  So each camera alone is fitted with the sheet, and the one is
-named that explains the residual where the others do not.
+named that explains the residual where the others do not; where several do, each of them.
 
 B. Wieneke, Stereo-PIV using self-calibration on particle images, Exp. Fluids 39, 267 (2005).
 """
@@ -35,8 +35,8 @@ from tracer.light_sheet import LightSheet
 HUBER_SIGMA = 2.0  # residual from which a place counts less: rims, where two pictures meet in one window
 MIN_PLACES = 12
 POSE_SIGMA = np.array([1.0, 1.0, 1.0, *[np.deg2rad(0.2)] * 3])  # mm, rad: of a camera's pose
-LIKELIER = 20.0  # by how much chi^2 of a camera that is named is lower than those of the others
-LEAST_MOVED_MM = 0.01  # of places: a calibration is no surer; without a move 0.002 mm were fitted
+LIKELIER = 20.0  # by how much a camera that is named lowers chi^2, and more than the others
+LEAST_MOVED_MM = 0.005  # of places: a calibration is no surer; without a move 0.002 mm were fitted
 Floats = NDArray[np.float64]
 
 
@@ -54,10 +54,12 @@ class SheetByViews:
         Root mean square of the disparity that no plane explains, robust; and in sigmas of its measurement.
     places : int
         Vectors of the disparity.
-    moved : int, optional
-        Number of the view whose camera does not stand where it was calibrated, from 0.
+    moved : tuple of int
+        Numbers of the views, from 0, of which one has a camera that does not stand where it was calibrated.
     moved_mm : float
         By how much its places on the plane are off (rms).
+    unseen : ndarray of float64, shape (6,), optional
+        Moves [mm] and turns [rad] of either camera that would not be noticed, each alone.
     """
 
     plane: Floats
@@ -65,8 +67,9 @@ class SheetByViews:
     residual_mm: float
     residual_sigma: float
     places: int
-    moved: int | None = None
+    moved: tuple[int, ...] = ()
     moved_mm: float = 0.0
+    unseen: Floats | None = None
 
     def sheet(self, known: LightSheet) -> LightSheet:
         """Return the sheet, for frames that were corrected for the known one."""
@@ -79,7 +82,7 @@ def name_moved(
     pose_rates: Sequence[Floats],
     independent: float,
 ) -> SheetByViews:
-    """Return the fit with the view whose camera stands elsewhere, if one explains the disparity and no other does.
+    """Return the fit with the views of which one has a camera that stands elsewhere, if that explains it.
 
     Parameters
     ----------
@@ -100,24 +103,41 @@ def name_moved(
     height = np.column_stack((np.ones(np.count_nonzero(good)), place[good]))
     sheet = (-slope[good][..., None] * height[:, None, :]).reshape(-1, 3)
     values, unsure = disparity[good].ravel(), sigma[good].ravel()
-    results = []
-    for rates in pose_rates:
-        of_pose = rates[good].reshape(-1, 6) * POSE_SIGMA
-        rows = np.column_stack((sheet, of_pose)) / unsure[:, None]
-        scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-12)
-        known = np.concatenate((np.zeros((6, 3)), np.eye(6)), axis=1) / np.sqrt(independent)
-
-        def residual(x: Floats, rows: Floats = rows, scale: Floats = scale, known: Floats = known) -> Floats:
-            return np.concatenate((values / unsure - rows @ (x / scale), known @ (x / scale)))
-
-        fit = scipy.optimize.least_squares(residual, np.zeros(9), loss="huber", f_scale=HUBER_SIGMA)
-        shift = (of_pose @ (fit.x / scale)[3:]).reshape(-1, 2)
-        results.append((2.0 * fit.cost * independent, float(np.sqrt(np.square(shift).sum(axis=1).mean()))))
-    costs = np.array([cost for cost, _ in results])
+    of_poses = [rates[good].reshape(-1, 6) * POSE_SIGMA for rates in pose_rates]
+    parts = [(sheet / unsure[:, None], of_pose / unsure[:, None]) for of_pose in of_poses]
+    alone, *fits = (
+        _fit_pose(values / unsure, *part, independent) for part in ((parts[0][0], 0.0 * parts[0][1]), *parts)
+    )
+    costs = np.array([cost for cost, _ in fits])
     best = int(np.argmin(costs))
-    if np.partition(costs, 1)[1] - costs[best] < LIKELIER or results[best][1] < LEAST_MOVED_MM:
-        return found
-    return replace(found, moved=best, moved_mm=results[best][1])
+    moved_mm = float(np.sqrt(np.square((of_poses[best] @ fits[best][1]).reshape(-1, 2)).sum(axis=1).mean()))
+    # Disparities that scatter more than is stated for them vary by as much more with each number that is fitted.
+    enough = LIKELIER * max(1.0, costs[best] / (independent * len(values)))
+    if alone[0] - costs[best] < enough or moved_mm < LEAST_MOVED_MM:
+        least = [_least_moves(*part, enough / independent) for part in parts]
+        shown = [np.sqrt(np.square(one).reshape(-1, 2, 6).sum(axis=1).mean(axis=0)) for one in of_poses]
+        return replace(found, unseen=POSE_SIGMA * np.maximum(least, LEAST_MOVED_MM / np.array(shown)).max(axis=0))
+    return replace(found, moved=tuple(np.flatnonzero(costs - costs[best] < enough).tolist()), moved_mm=moved_mm)
+
+
+def _fit_pose(values: Floats, sheet: Floats, of_pose: Floats, independent: float) -> tuple[float, Floats]:
+    """Return chi^2 of a sheet and a pose fitted to disparities, all in their sigmas, and the pose (6,)."""
+    rows = np.column_stack((sheet, of_pose))
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-12)
+    known = np.concatenate((np.zeros((6, 3)), np.eye(6)), axis=1) / np.sqrt(independent)
+
+    def residual(x: Floats) -> Floats:
+        return np.concatenate((values - rows @ (x / scale), known @ (x / scale)))
+
+    fit = scipy.optimize.least_squares(residual, np.zeros(9), loss="huber", f_scale=HUBER_SIGMA)
+    return 2.0 * fit.cost * independent, (fit.x / scale)[3:]
+
+
+def _least_moves(sheet: Floats, of_pose: Floats, enough: float) -> Floats:
+    """Return the least of each number of a pose (6,) whose disparity, but for a sheet, is of that chi^2."""
+    across, _ = np.linalg.qr(sheet)
+    left = np.linalg.norm(of_pose - across @ (across.T @ of_pose), axis=0)
+    return np.asarray(np.sqrt(enough) / np.maximum(left, 1e-12))
 
 
 def fit_sheet(

@@ -49,10 +49,13 @@ APART = (
     " stand where it was calibrated"
 )
 MOVED = (
-    "the camera of view {} ({}) was moved since it was calibrated: what it shows is {:.3f} mm from its place;"
-    " calibrate it again"
+    "the camera of {} was moved since it was calibrated: what it shows is {:.3f} mm from its place; calibrate it"
+    " again"
 )
-
+UNSEEN = (
+    "a camera moved by less than {:.2g}, {:.2g}, {:.2g} mm along x, y, z or turned by less than {:.2g}, {:.2g},"
+    " {:.2g} mrad about them since its calibration would not be noticed"
+)
 ELSEWHERE = (
     "the light sheet lies {:+.3f} +- {:.3f} mm from where the scenes have it, or a camera does not stand where it"
     " was calibrated; measure the sheet with --sheet"
@@ -229,14 +232,17 @@ def show_contradictions(
     said = list[str]()
     if found.residual_sigma > STRANGERS:
         said.append(APART.format(found.residual_mm, found.residual_sigma))
-    if found.moved is not None:
-        said.append(MOVED.format(found.moved + 1, paths[found.moved], found.moved_mm))
+    if found.moved:
+        named = " or ".join(f"view {number + 1} ({paths[number]})" for number in found.moved)
+        said.append(MOVED.format(named, found.moved_mm))
     elif known is not None:
         z_mm, sigma_mm = float(found.plane[0]), float(np.hypot(found.covariance[0, 0] ** 0.5, known.sigma_mm))
         if abs(z_mm) > SHEET_SIGMAS * sigma_mm:
             said.append(ELSEWHERE.format(z_mm, sigma_mm))
     for line in said:
         screen.print(line, style="bold red", soft_wrap=True)
+    if found.unseen is not None:
+        screen.print(UNSEEN.format(*found.unseen[:3], *(1e3 * found.unseen[3:])), soft_wrap=True)
 
 
 def show_moves(screen: Console, found: Moves, pairs: Sequence[str], scenes: int = 0) -> None:

@@ -97,7 +97,9 @@ def pose_rates(rng, place):
 
 
 @pytest.mark.parametrize("view", [0, 1])
-@pytest.mark.parametrize("change", [(0.1, 0, 0, 0, 0, 0), (0, 0.1, 0, 0, 0, 0), (0, 0, 0, 2e-4, 0, 0)])
+@pytest.mark.parametrize(
+    "change", [(0.1, 0, 0, 0, 0, 0), (0, 0.1, 0, 0, 0, 0), (0, 0, 0, 2e-4, 0, 0), (0, 0, 0.3, 0, 0, 0)]
+)
 def test_the_camera_that_was_moved_is_named(view, change):
     rng = np.random.default_rng(11)
     place, apart, sigma, slope = disparity(rng)
@@ -106,7 +108,7 @@ def test_the_camera_that_was_moved_is_named(view, change):
     apart = apart + signed[view] @ np.array(change, float)
     alone = fit_sheet(place, apart, sigma, slope, 1.0)
     found = name_moved(alone, (place, apart, sigma, slope), signed, 1.0)
-    assert found.moved == view
+    assert found.moved == (view,)
     shift = np.sqrt(np.square(rates[view] @ np.array(change, float)).sum(axis=1).mean())
     assert found.moved_mm == pytest.approx(shift, rel=0.3)
 
@@ -117,13 +119,13 @@ def test_no_camera_is_named_without_cause():
         place, apart, sigma, slope = disparity(rng)
         rates = pose_rates(rng, place)
         data = place, apart, sigma, slope
-        assert name_moved(fit_sheet(*data, 1.0), data, [rates[0], -rates[1]], 1.0).moved is None
+        assert name_moved(fit_sheet(*data, 1.0), data, [rates[0], -rates[1]], 1.0).moved == ()
 
 
-def test_a_shift_that_no_ball_shows_names_none():
+def test_a_shift_that_no_ball_shows_names_both():
     rng = np.random.default_rng(12)
     place, apart, sigma, slope = disparity(rng)
     rates = np.zeros((len(place), 2, 6))
     rates[:, 0, 0] = rates[:, 1, 1] = 1.0
     data = place, apart + np.array([0.0, 0.1]), sigma, slope
-    assert name_moved(fit_sheet(*data, 1.0), data, [rates, -rates], 1.0).moved is None
+    assert name_moved(fit_sheet(*data, 1.0), data, [rates, -rates], 1.0).moved == (0, 1)

@@ -103,7 +103,7 @@ def test_the_view_that_disagrees_is_named():
 def test_views_that_contradict_each_other_are_named(capsys):
     paths, sure = [Path("left"), Path("right")], LightSheet(sigma_mm=0.02)
 
-    def said(known, z_mm=0.3, residual=1.2, moved=None):
+    def said(known, z_mm=0.3, residual=1.2, moved=()):
         found = SheetByViews(np.array([z_mm, 0.0, 0.0]), 1e-6 * np.eye(3), 0.02, residual, 100, moved, 0.1)
         show_contradictions(console(), found, paths, known)
         return " ".join(capsys.readouterr().out.split())
@@ -111,7 +111,8 @@ def test_views_that_contradict_each_other_are_named(capsys):
     assert "the light sheet lies +0.300 +- 0.020 mm from where" in said(sure)
     assert said(sure, z_mm=0.05) == said(LightSheet(sigma_mm=0.5)) == said(None) == ""
     assert "0.020 mm apart (3.0 sigma)" in said(sure, z_mm=0.0, residual=3.0)
-    assert said(sure, moved=1).startswith("the camera of view 2 (right) was moved since it was calibrated")
+    assert said(sure, moved=(1,)).startswith("the camera of view 2 (right) was moved since it was calibrated")
+    assert "of view 1 (left) or view 2 (right) was moved" in said(sure, moved=(0, 1))
 
 
 def test_cameras_of_one_run_are_at_the_same_time(tmp_path):
