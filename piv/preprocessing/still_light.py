@@ -64,7 +64,7 @@ LEAST_KNOWN, HALF = 0.15, 0.5  # share of a line of writing that does not change
 RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
 LEAK_PX = 6  # off a mask: light of what it hides
-LEAKS = 0.5  # of the height of a body: its edge
+LEAKS, DARKER = 0.5, 0.05  # of the height of a body: its edge; share of the flow's pixels below a dark body
 QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
 GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
 LINE_PX = 48  # length of a line that is ruled
@@ -236,7 +236,8 @@ def with_clean_rim(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.boo
 def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) up to `LEAK_PX` off a mask that show, in either frame, the light of the body it hides.
 
-    So it is where the body moves, or the camera shakes. `usable` says where frames are numbers.
+    So it is where the body moves, the camera shakes, or the mask is too small; a body may be darker than the flow.
+    `usable` says where frames are numbers.
     """
     import cv2
 
@@ -252,12 +253,14 @@ def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_
     for frame in _numbers(frames, usable):
         some = frame[::3, ::3][valid[::3, ::3]]
         ground, deviation = (np.float32(part) for part in (np.median(some), some.std()))
+        low = np.float32(np.quantile(some, DARKER)) - ground
         above = frame - ground
         inside = np.where(within, above, np.float32(0.0))
         height = cv2.blur(inside, around) / body
         lit = (height > deviation) & (above > LEAKS * height)
-        # Particles are smaller.
-        found |= _dilate(_erode(lit, square), square)
+        dark = (height < low) & (above < HALF * (low + height))
+        # Particles, and gaps between them, are smaller.
+        found |= _dilate(_erode(lit | dark, square), square)
     return _dilate(found & near, (3, 3)) & near
 
 
