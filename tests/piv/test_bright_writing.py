@@ -41,6 +41,30 @@ def test_writing_that_outshines_the_particles_is_found(flow, scale, thick):
         assert field.valid[ink[np.rint(y).astype(int), np.rint(x).astype(int)]].sum() < most
 
 
+@pytest.mark.parametrize("flow", [SLOW, TURN], ids=["slow", "turn"])
+@pytest.mark.parametrize(("scale", "level"), [(0.45, 1500), (0.7, 4095)])
+def test_thin_writing_is_found_by_the_very_same_numbers(flow, scale, level):
+    """Strokes of a pixel were not: up to 59 vectors of a pair were beyond 5 sigma and 0.3 px."""
+    frames = pair_of(flow, ellipse(1.1, 1.1, 0.0), 7, seed=13, count=3000)
+    ink = np.zeros((2, SIDE, SIDE), np.uint8)
+    for one, line in zip(ink, ("t = 1.357 s", "t = 1.369 s"), strict=True):
+        cv2.putText(one, line, (12, 200), cv2.FONT_HERSHEY_SIMPLEX, scale, 255, 1, cv2.LINE_8)
+    frames = [np.where(one > 0, level, frame).astype(np.uint16) for frame, one in zip(frames, ink, strict=True)]
+    found = still_light([tuple(frames)], np.ones((SIDE, SIDE), bool))
+    assert found[(ink > 0).any(axis=0)].mean() > 0.98
+    assert found.mean() < 0.08
+
+
+@pytest.mark.parametrize("rests_px", [SIDE, SIDE // 2], ids=["everywhere", "in half"])
+def test_saturated_particles_at_rest_are_no_writing(rests_px):
+    """Without the look at other areas 0.2 of the frame; clumps of them beside a quick flow do stand still."""
+    flow = lambda x, y: (0.05 * np.maximum(x - rests_px, 0.0), 0.0 * y)  # noqa: E731
+    frames = pair_of(flow, ellipse(2.0, 2.0, 0.0), 7, seed=14, count=2500)
+    frames = tuple(np.minimum(frame, 900) for frame in frames)
+    found = still_light([frames], np.ones((SIDE, SIDE), bool))
+    assert found is None if rests_px == SIDE else found.mean() < 0.06
+
+
 @pytest.mark.parametrize("width_px", [60.0, 80.0])
 @pytest.mark.parametrize("flow", [SLOW, TURN, WALL], ids=["slow", "turn", "wall"])
 def test_a_flow_that_is_brightly_lit_does_not_stand_still(flow, width_px):
