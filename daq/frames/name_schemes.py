@@ -37,12 +37,16 @@ MARK_DIGITS = 2  # of a number that tells first from second frame at most; a lon
 JITTER = 0.2  # of the usual time between frames, in names that are times
 # Times as long between pairs as within them, at least, where the gaps between numbers say it
 APART = 3
+MIN_WRAPPED = 3  # gaps of a counter that may have begun anew, and times that the widest is longer than the next
 # With a decimal point, comma or p, and an exponent; + or - is a sign in front, and behind _ or = (t_-0012)
 _NUMBER = re.compile(r"(?:(?<![^_=])[+-])?\d+(?:[.,p]\d+(?![\d.,p]))?(?:[eE][+-]\d\d?(?!\d))?")
 _DECIMAL = re.compile(r"([+-]?\d+)[.,p](\d+)(.*)")
 _SIGN = re.compile(r"(?<![^_=])[+-]$")
 _TIME = re.compile(r"\d+([.,p])\d+(s|ms|us|µs|ns)?(?![^\W_])")
 _SIGNED = re.compile(r"[+-]#")
+_NO_SIGN = re.compile(r"-0+")  # zero has none
+_HEXADECIMAL = re.compile(r"[0-9a-f]*[c-f][0-9a-f]*|[0-9A-F]*[C-F][0-9A-F]*")
+MOST_LACKING = 0.2  # of the numbers of a hexadecimal counter
 _DIGITS = re.compile(r"\d+")
 _LETTERS = re.compile(r"[^\W\d_]+")
 
@@ -222,7 +226,28 @@ def _groups_of(names: Collection[str]) -> Iterator[tuple[list[str], re.Pattern[s
         texts = [text for name in group for text in _NUMBER.findall(name.rpartition(".")[0])]
         fractions = [found[2] for text in texts if (found := _DECIMAL.match(text))]
         counts = len({len(text) for text in fractions}) > 1 and any(text[1:].endswith("0") for text in fractions)
+        counts |= any(_NO_SIGN.fullmatch(text) for text in texts)
         yield group, _DIGITS if counts else _NUMBER  # run3.9 and run3.10 count; 0.9 and 0.15 do not
+
+
+def hexadecimal_sequence(names: Collection[str]) -> dict[Fraction, str]:
+    """Return frames by number if a counter in hexadecimal, f_0009, f_000a, is all that differs; else none."""
+    stems = {name.rpartition(".")[0]: name for name in names}
+    before, behind = _count_alike(stems), _count_alike([stem[::-1] for stem in stems])
+    texts = {stem[before : len(stem) - behind]: name for stem, name in stems.items()}
+    digits = "".join(texts)
+    is_one = len(texts) == len(names) and len({*map(len, texts)}) == 1
+    if not (is_one and _HEXADECIMAL.fullmatch(digits) and re.search(r"\d", digits)):
+        return {}
+    found = {Fraction(int(text, 16)): name for text, name in texts.items()}
+    lacking = max(found) - min(found) + 1 - len(found)
+    return found if lacking <= MOST_LACKING * len(found) else {}
+
+
+def _count_alike(texts: Collection[str]) -> int:
+    """Letters at the beginning that all texts have in common."""
+    both = zip(min(texts, default=""), max(texts, default=""), strict=False)
+    return next((place for place, (one, other) in enumerate(both) if one != other), 0)
 
 
 def _value_of(text: str) -> Fraction:
@@ -244,6 +269,7 @@ def number_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
     Numbers in steps of 10 count by tens; times count by the usual time between them.  Where the frames of a pair
     stand much closer together than pairs follow each other, those of pair n are 2 n - 1 and 2 n.
     """
+    frames = _unwrapped(frames)
     values = sorted(frames)
     low, gaps = values[0], [b - a for a, b in pairwise(values)]
     if not gaps:
@@ -264,3 +290,18 @@ def number_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
     for gap in gaps:
         numbers.append(numbers[-1] + max(1, round(gap / step)))
     return {number: frames[value] for number, value in zip(numbers, values, strict=True)}
+
+
+def _unwrapped(frames: Mapping[Fraction, str]) -> Mapping[Fraction, str]:
+    """Frames in the order of a counter that began anew behind its largest number: 998, 999, 000, 001."""
+    values = sorted(frames)
+    low, high = values[0], values[-1]
+    gaps = sorted((b - a, b) for a, b in pairwise(values))
+    is_binary = high.denominator == 1 and high > 1 and not int(high) & (int(high) + 1)
+    is_full = len(frames[low]) == len(frames[high]) and set(str(high)) == {"9"}
+    if low not in (0, 1) or not (is_binary or is_full) or len(gaps) < MIN_WRAPPED:
+        return frames
+    (usual, _), (widest, first) = gaps[-2:]
+    if widest <= (high - low) / 2 or widest < MIN_WRAPPED * usual:
+        return frames
+    return {value if value >= first else value + high - low + 1: name for value, name in frames.items()}

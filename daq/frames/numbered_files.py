@@ -19,6 +19,7 @@ from daq.frames.name_schemes import (
     FEW_STRAYS,
     Scheme,
     differ_by_camera,
+    hexadecimal_sequence,
     natural,
     number_from_1,
     pattern_of,
@@ -195,6 +196,9 @@ class FrameFolder(FoundFiles):
     def __init__(self, path: Path, pairing: Pairing = NEIGHBOURS) -> None:
         names = frames_in(path)
         few = FEW_STRAYS * len(names)
+        if hexadecimal := hexadecimal_sequence(names):
+            self._keep_sequence(path, hexadecimal, pairing)
+            return
         longest = max(sequences_of(names), key=len, default={})
         # 0, 1 are numbers beside -1
         is_signed = min(longest, default=0) < 0 and len(names) - len(longest) <= few
@@ -213,6 +217,7 @@ class FrameFolder(FoundFiles):
         if schemes:
             raise PairError(_several(path, names, schemes))
         sequence = _one_sequence(path, sequences_of(names), few)
+        _require_one_order(path, sequence)
         self._keep_sequence(path, sequence, pairing)
         self.set_aside = sorted(names - set(sequence.values()))
 
@@ -293,6 +298,20 @@ def _one_sequence(folder: Path, found: list[dict[Fraction, str]], few: float = 0
         more = "".join(f"; or, for first and second frames of pairs: {each}" for each in pairs)
         raise PairError(f"{folder}: its frames are of several series; name one of them, in quotes: {some}{more}")
     return longest
+
+
+def _require_one_order(folder: Path, sequence: Mapping[Fraction, str]) -> None:
+    """Raise PairError with both patterns if every number has a minus that may be a sign or a dash (t_-0012)."""
+    pattern = pattern_of(list(sequence.values()))
+    place = _WILD.search(pattern)
+    if max(sequence) >= 0 or place is None or place[0] == "*" or "=-" in pattern:
+        return
+    signed = f"{pattern[: place.start() - 1]}*{pattern[place.end() :]}"
+    raise PairError(
+        f"{folder}: the minus in {sequence[max(sequence)]} may be a sign or a dash; in place of the folder give,"
+        f" with its quotes, {_quote(folder / pattern)} if numbers grow with time, or {_quote(folder / signed)} if"
+        " they are negative and fall"
+    )
 
 
 def _others_of(scheme: Scheme, names: set[str]) -> set[str]:

@@ -72,8 +72,13 @@ SCHEMES = {
     "per cent and d": (pairs_by("50 %d {:03d}_a.tif", "50 %d {:03d}_b.tif"), []),
     "high-speed camera, trigger in the middle": (sequence("jet{:+06d}.tif", range(-4, 4)), []),
     "the same with a minus alone": (sequence("jet{:d}.tif", range(-6, 2)), []),
-    "all before the trigger": (sequence("Cam_{:07d}.tif", range(-8, 0)), []),
-    "the last two before the trigger": ([("Cam_-2.tif", "Cam_-1.tif")], []),
+    "all before the trigger": (sequence("t={:d}us.tif", range(-8, 0)), []),
+    "a dash, as zero has no sign": (sequence("run-2_-{:03d}.tif", range(8)), []),
+    "hexadecimal": (sequence("f_{:04x}.tif", range(40)), []),
+    "hexadecimal in capitals": (sequence("1A{:02X}.png", range(8, 18)), []),
+    "a counter that began anew": (sequence("im{:03d}.tif", [*range(995, 1000), *range(7)]), []),
+    "the same without zero": (sequence("im{:03d}.tif", [*range(994, 1000), *range(1, 7)]), []),
+    "a counter of 8 bits": (sequence("im_{:d}.tif", [*range(251, 256), *range(7)]), []),
     "numbers alone, with signs": (sequence("{:d}.png", range(-4, 4)), ["mask.png"]),
     "trigger in a short series": (sequence("run=3_{:d}.tif", range(-2, 2)), []),
     "times about 1 s": (sequence("t={}.tif", [f"{k / 4}".replace(".", ",") for k in range(1, 9)]), []),
@@ -121,6 +126,16 @@ def test_lost_frames_cost_their_own_pairs(tmp_path):
         left = [pair for pair in pairs if pair != pairs[1]]
         assert found_in(folder, folder) == left, name
         assert source_of(folder).count_unpaired() == 1, name
+
+
+@pytest.mark.parametrize("form", ["Cam_-{:06d}.tif", "-{:d}.png", "run-1_-{:03d}a.tif"])
+def test_a_minus_before_every_number_is_asked_for(form, tmp_path):
+    """It was a sign: frames that a dash numbers were paired in reverse, every velocity turned round."""
+    folder = lay(tmp_path, sequence(form, range(1, 9)))
+    with pytest.raises(PairError, match="may be a sign or a dash") as refused:
+        source_of(folder)
+    found = [found_in(Path(path), folder) for (path,) in ways_of(refused.value)]
+    assert found == [sequence(form, range(1, 9)), sequence(form, range(8, 0, -1))]
 
 
 # Folders that can be read in several ways: what is right is among the commands that the refusal names
