@@ -7,7 +7,9 @@ another way through the balls, and an oblique view shows it elsewhere.  The ligh
 
     sqrt(seen) = gain(u, v) sqrt(traced(z)),       gain of second order, least squares over all pixels,
 
-with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).
+with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).  Where glass
+magnifies, a particle covers many pixels: each counts by its area on the plane against that of a pixel without glass, and not at
+all below LEAST_AREA, where few particles or none stand in a pixel and the root of their mean is not the mean of roots.
 
 All heights are allowed whose sum of squares exceeds the least one by at most MODEL_SHARE of the light: by so much
 traced light differs from that of the simulator's own optics at the true height.  Only pixels count that some of
@@ -48,8 +50,9 @@ SPOT_PX = 1.2  # standard deviation of a particle's image
 ELSEWHERE_SIGMAS = 3.0  # sigmas from which a sheet is said to lie elsewhere
 # Of the undisturbed sheet's: below it at all heights, a pixel is dark
 DARK_PIXEL = 0.02
-# Of the light: true heights leave 0.0001 to 0.0007 more
-MODEL_SHARE = 0.0008
+# Of the light: true heights leave up to 0.0011 more in beds, tubes and random packings
+MODEL_SHARE = 0.0012
+LEAST_AREA = 0.25  # of a pixel on the plane, against one without glass
 
 
 @dataclass(frozen=True)
@@ -114,20 +117,22 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     times = -(-mean.shape[1] // TRACED_PX)
     small, seen = scene.coarser(times), _bin_pixels(_bin_pixels(mean, times), RAYS)
     heights = sheet.z_mm + sheet.thickness_mm * np.linspace(-COMPARED_SPAN, COMPARED_SPAN, COMPARED_HEIGHTS)
-    traced = []
+    traced, areas = [], []
     for z in heights.tolist():
         try:
-            lit = _brightness(replace(small, sheet=replace(sheet, z_mm=z)).in_light_sheet())
+            lit, area = _brightness(replace(small, sheet=replace(sheet, z_mm=z)).in_light_sheet())
         except SceneError:  # no light there, or a body that no sheet may cross
             return None
         traced.append(_bin_pixels(lit, RAYS))
+        areas.append(_bin_pixels(area, RAYS))
+    weight = np.mean(areas, axis=0)
     use = np.asarray(np.isfinite(traced).all(axis=0), np.bool_)
     blur = SPOT_PX / times / RAYS
     roots = [np.sqrt(scipy.ndimage.gaussian_filter(np.nan_to_num(field), blur)) for field in traced]
     root = np.sqrt(np.maximum(scipy.ndimage.gaussian_filter(seen, blur), 0.0))
-    use &= np.max(roots, axis=0) > np.sqrt(DARK_PIXEL)
-    sums = np.array([_misfit(root, one, use) for one in roots])  # (heights, blocks)
-    margin = MODEL_SHARE * float(np.sum(root[use] ** 2))
+    use &= (np.max(roots, axis=0) > np.sqrt(DARK_PIXEL)) & (weight > LEAST_AREA)
+    sums = np.array([_misfit(root, one, np.where(use, weight, 0.0)) for one in roots])  # (heights, blocks)
+    margin = MODEL_SHARE * float(np.sum(weight[use] * root[use] ** 2))
     low, high = height_range(heights, sums.sum(axis=1), margin)
     rest = sums.sum(axis=1)[:, None] - sums  # without each block
     middles = [sum(height_range(heights, one, margin)) / 2.0 for one in rest.T]
@@ -143,26 +148,38 @@ def _bin_pixels(frame: NDArray[np.float64], times: int) -> NDArray[np.float64]:
     return np.asarray(blocks.mean(axis=(1, 3)))
 
 
-def _brightness(scene: Scene) -> NDArray[np.float64]:
-    """Traced light (H, W) that pixels see: 0 in glass, NaN where a ray is lost or leaves the map of the light."""
+def _brightness(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return traced light (H, W) of pixels, and their areas (H, W) on the plane against a pixel without glass, at most 1.
+
+    The light is 0 in glass, NaN where a ray is lost or leaves the map of the light.
+    """
     rays = build_ray_map(scene)
     lit = light_of(scene, grid_of(scene.camera))
     out = np.where(rays.status == RayStatus.IN_GLASS, 0.0, np.nan)
+    places = np.where(rays.recovered[..., None], rays.plane_mm.astype(np.float64), np.nan)
+    down, along = np.gradient(places, axis=(0, 1))
+    area = np.abs(down[..., 0] * along[..., 1] - down[..., 1] * along[..., 0])
+    bare = (scene.camera.position_mm[2] / scene.camera.focal_px) ** 2
+    # A pixel at a rim has no area of its own: the least of its neighbours'
+    area = np.minimum(scipy.ndimage.minimum_filter(np.where(np.isfinite(area), area, np.inf), 3) / bare, 1.0)
     if lit is None:
-        return out
+        return out, area
     v, u = np.nonzero(rays.recovered)
-    feet = rays.plane_mm[rays.recovered].astype(np.float64)
+    feet = places[rays.recovered]
     slopes = ray_slopes(scene, np.stack((u, v), axis=-1).astype(np.float64))
-    places = feet + lit.height_at(feet)[:, None] * slopes
-    column, row = lit.grid.to_px(places).T
+    column, row = lit.grid.to_px(feet + lit.height_at(feet)[:, None] * slopes).T
     out[rays.recovered] = scipy.ndimage.map_coordinates(lit.light.brightness, [row, column], order=1, cval=np.nan)
-    return out
+    return out, area
 
 
-def _misfit(seen: NDArray[np.float64], traced: NDArray[np.float64], use: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Sums of squares (B,) that the light traced leaves in each block of the frame."""
+def _misfit(
+    seen: NDArray[np.float64], traced: NDArray[np.float64], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weighted sums of squares (B,) that the light traced leaves in each block of the frame."""
     rows, columns = seen.shape
     v, u = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, columns), indexing="ij")
+    use, root = weight > 0.0, np.sqrt(weight)
+    seen, traced = root * seen, root * traced
     terms = np.stack([one[use] * traced[use] for one in (np.ones_like(u), u, v, u * u, u * v, v * v)], axis=1)
     gain, *_ = np.linalg.lstsq(terms, seen[use], rcond=None)
     left = np.zeros(seen.shape)

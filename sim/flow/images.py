@@ -32,6 +32,10 @@ from tracer.scene.scene import Scene
 
 Frame = NDArray[np.uint16]
 
+SLAB = 0.25  # thicknesses of the sheet: depth that shares a plane where balls cross the sheet
+BRIGHT_DEPTH = (
+    0.5  # thicknesses to either side of the middle that are cut into slabs; the outer ones hold the rest
+)
 FLOW_SENSOR = Sensor(white_counts=1.0, read_noise_counts=2.0, offset_counts=35.0, blur_px=0.0)
 
 
@@ -183,7 +187,11 @@ class FlowCamera:
 
     def _particle_light(self, particles: ParticlePair, pulse: int) -> NDArray[np.float32]:
         """Counts (H, W) of particles."""
-        seen = self._view.light(particles.places_mm[pulse], particles.light[pulse])
+        places, shine = particles.places_mm[pulse], particles.light[pulse]
+        slab = np.searchsorted([view.heights_mm[0] for view in self._views[1:]], places[:, 2])
+        seen = np.zeros(self.scene.camera.shape, np.float32)
+        for number, view in enumerate(self._views):
+            seen += view.light(places[slab == number], shine[slab == number])
         return np.asarray(np.float32(self.particle_counts / self._view.peak()) * seen)
 
     def _seed(self, number: int, what: int) -> int:
@@ -207,17 +215,37 @@ class FlowCamera:
             else self.sheet
         )
 
-    @cached_property
+    @property
     def _view(self) -> ParticleView:
-        """The rays, traced once for all pairs; a sheet that is tilted needs them over a greater depth."""
+        """The rays to the middle of the sheet."""
+        return self._views[len(self._views) // 2]
+
+    @cached_property
+    def _views(self) -> tuple[ParticleView, ...]:
+        """The rays, traced once for all pairs, from the lowest slab of the depth to the highest.
+
+        A tilted sheet needs a greater depth.  Where balls cross it, a ray that is in glass at one height may have
+        met light above it, so that each slab has a plane of its own, the middle one that of the sheet.
+        """
         height, width = self.scene.camera.shape
         tilt = 0.7 * max(height, width) * self.px_mm * (abs(self.sheet.slope_x) + abs(self.sheet.slope_y))
         reach = (light_reach_mm(self.sheet) if self._sources else self.sheet.reach_mm) + tilt
-        low, high = self.sheet.offset_mm - reach, self.sheet.offset_mm + reach
+        middle = self.sheet.offset_mm
+        low, high = middle - reach, middle + reach
+        if not self._spheres_in_sheet:
+            return (self._rays_between(min(low, -0.01), max(high, 0.01), 0.0),)
+        step = SLAB * self.sheet.thickness_mm
+        count = int(np.ceil((BRIGHT_DEPTH * self.sheet.thickness_mm + tilt) / step))
+        planes = middle + step * np.arange(-count, count + 1)
+        edges = [low, *(planes[1:] - 0.5 * step).tolist(), high]
+        slabs = zip(edges[:-1], edges[1:], planes.tolist(), strict=True)
+        return tuple(self._rays_between(*slab) for slab in slabs)
+
+    def _rays_between(self, low_mm: float, high_mm: float, plane_mm: float) -> ParticleView:
         return ParticleView(
             self.scene,
-            (low, high) if self._spheres_in_sheet else (min(low, -0.01), max(high, 0.01)),
-            plane_mm=self.sheet.offset_mm if self._spheres_in_sheet else 0.0,
+            (low_mm, high_mm),
+            plane_mm=plane_mm,
             aperture=self.aperture,
             points_of_pupil=self.points_of_pupil,
             spot_px=self.spot_px,

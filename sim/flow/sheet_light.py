@@ -17,6 +17,7 @@ from sim.flow.kernels.sheet_light import leave_light
 from sim.flow.particles import LightSheet
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
+from tracer.bodies import Sphere
 from tracer.light_sheet import SheetSource
 from tracer.scene.scene import Scene
 
@@ -29,6 +30,7 @@ MOST_BOXES = 1000
 RAYS_PER_BOX = 400
 THINNEST = 0.1  # thicknesses: a focus by geometrical optics alone would shine without limit
 LEAST_LIGHT = 1e-6
+LEAST_GAS = 0.1  # of a box
 STEPS = 1.2207440846 ** -np.arange(1.0, 4.0)  # of Roberts' sequence in three dimensions, modulo 1
 
 
@@ -43,12 +45,13 @@ class TracedSheet(LightSheet):
     side_mm : float
         Of a box.
     sums : (array, array)
-        Light and its first two moments by height (3, rows, columns), at pulses A and B.
+        Light, its first two moments by height, and the part of each box that is gas (4, rows, columns), at pulses
+        A and B.
     """
 
     corner_mm: tuple[float, float] = (0.0, 0.0)
     side_mm: float = 1.0
-    sums: tuple[Float64, Float64] = (np.zeros((3, 1, 1)), np.zeros((3, 1, 1)))
+    sums: tuple[Float64, Float64] = (np.zeros((4, 1, 1)), np.zeros((4, 1, 1)))
 
     @property
     def reach_mm(self) -> float:
@@ -59,14 +62,14 @@ class TracedSheet(LightSheet):
         """Light (N,) of pulse 0 (A) or 1 (B) at points (N, 3), 1 in the middle of the first source's sheet."""
         x, y, z = points_mm.T
         places = np.array(((self.corner_mm[1] - y) / self.side_mm, (x - self.corner_mm[0]) / self.side_mm)) - 0.5
-        light, first, second = (
+        light, first, second, gas = (
             scipy.ndimage.map_coordinates(moment, places, order=1, mode="nearest") for moment in self.sums[pulse]
         )
         usual, some = upright_mm(self), np.maximum(light, LEAST_LIGHT * self.side_mm**2)
         height = first / some
         thickness = np.maximum(4.0 * np.sqrt(np.maximum(second / some - height**2, 0.0)), THINNEST * usual)
         off = z - self.middle_mm(x, y) - (pulse - 0.5) * self.apart_mm - height
-        bright = light / self.side_mm**2 * usual / thickness
+        bright = light / np.maximum(gas, LEAST_GAS) / self.side_mm**2 * usual / thickness
         return np.asarray(self.energies[pulse] * bright * np.exp(-8.0 * np.square(off / thickness)))
 
 
@@ -89,8 +92,35 @@ def trace_sheet(
     columns, rows = (int(np.ceil(length / side)) for length in high - low)
     raster = (float(low[0]), float(high[1])), side, (rows, columns)
     pulses = [replace(sheet, offset_mm=sheet.offset_mm + part * sheet.apart_mm) for part in (-0.5, 0.5)]
-    first, second = (count_light(scene, one, sources, raster, RAYS_PER_BOX / side)[0] for one in pulses)
+    balls = Sphere.among(scene.bodies)
+
+    def lit(pulse: LightSheet) -> Float64:
+        sums = count_light(scene, pulse, sources, raster, RAYS_PER_BOX / side)[0]
+        return np.concatenate(
+            (sums, gas_share(balls, pulse, raster, sums[1] / np.maximum(sums[0], LEAST_LIGHT))[None])
+        )
+
+    first, second = (lit(one) for one in pulses)
     return TracedSheet(**vars(sheet), corner_mm=raster[0], side_mm=side, sums=(first, second))
+
+
+def gas_share(balls: Sequence[Sphere], sheet: LightSheet, raster: Raster, height_mm: Float64) -> Float64:
+    """Part (rows, columns) of boxes outside of balls, at a height (rows, columns) over the plane of a sheet.
+
+    A ball's edge counts as straight within a box: without this, light beside glass would be as much too faint.
+    """
+    (left, top), side, (rows, columns) = raster
+    y, x = np.meshgrid(
+        top - side * (np.arange(rows) + 0.5), left + side * (np.arange(columns) + 0.5), indexing="ij"
+    )
+    z = sheet.middle_mm(x, y) + height_mm
+    share = np.ones(height_mm.shape)
+    for ball in balls:
+        across, along, up = ball.centre_mm
+        section2 = ball.radius_mm**2 - np.square(z - up)
+        beyond = np.hypot(x - across, y - along) - np.sqrt(np.maximum(section2, 0.0))
+        share = np.where(section2 > 0.0, np.minimum(share, np.clip(0.5 + beyond / side, 0.0, 1.0)), share)
+    return share
 
 
 def count_light(

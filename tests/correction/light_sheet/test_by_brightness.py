@@ -26,7 +26,7 @@ def given_at(z_mm: float) -> Scene:
 
 def test_a_frame_of_the_traced_light_tells_the_height_it_was_traced_at():
     """An uneven gain, and the scatter of a thousand particles a pixel; the scene says 0.8 mm less."""
-    bright = np.nan_to_num(_brightness(given_at(22.0).in_light_sheet()))
+    bright = np.nan_to_num(_brightness(given_at(22.0).in_light_sheet())[0])
     gain = np.linspace(0.7, 1.4, bright.shape[1])
     mean = np.random.default_rng(1).poisson(1000.0 * gain * bright) / 25.0
     found = height_by_brightness(given_at(21.2), mean)
