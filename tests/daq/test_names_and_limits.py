@@ -41,6 +41,7 @@ def test_printable_leaves_what_can_be_read():
 MORE_NAMES = [pytest.param(name, marks=pytest.mark.slow) for name in ("\\", "a$b", "100 %", "$\\alpha$", "_^{}")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["$x_{", *MORE_NAMES])
 def test_pictures_bear_any_name(tmp_path, name):
     text = SMALL.replace("name: ball", f"name: '{name}'")
@@ -66,6 +67,7 @@ def test_names_are_bounded_and_can_be_said(tmp_path, old, new, words):
     assert all(len(problem.text) < 300 for problem in caught.value.problems)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "words"), [(1001, "1000"), (10_000, "at most 50000")])
 def test_more_bodies_than_any_bed_has_are_refused(tmp_path, count, words):
     ball = "{kind: sphere, centre_mm: [%d.0, 0.0, 9.0], radius_mm: 0.4, material: N-BK7}"

@@ -33,6 +33,7 @@ sys.exit(main(["trace", "scene.yaml", "-o", sys.argv[1]]))
 """
 
 
+@pytest.mark.slow
 def test_a_verb_that_is_told_to_end_leaves_nothing_half_written(tmp_path):
     command = [sys.executable, "-c", CHILD, str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -136,6 +136,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(lab, tmp_path, word
             assert "</html>" in path.read_text()
 
 
+@pytest.mark.slow
 def test_examples_on_a_full_disk_are_one_sentence_and_can_be_asked_for_again(tmp_path):
     for before in (False, True):
         out = tmp_path / f"out{before}"
@@ -261,6 +262,7 @@ tempfile.TemporaryFile = refused
 """
 
 
+@pytest.mark.slow
 def test_a_cache_that_was_filled_and_cannot_be_written_is_read(tmp_path):
     """As in an image or on a cluster, after rtpiv setup warm."""
     said = CACHE + "print(sum(twice.stats.cache_hits.values()))\n"
@@ -285,6 +287,7 @@ def test_a_cache_that_was_filled_and_cannot_be_written_is_read(tmp_path):
     assert not list(tmp_path.glob("rtpiv-kernels-*"))
 
 
+@pytest.mark.slow
 def test_a_full_cache_costs_nothing_but_time(tmp_path):
     (tmp_path / "kernels.py").write_text(
         "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + CACHE

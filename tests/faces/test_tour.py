@@ -19,6 +19,7 @@ def tour():
     plt.close("all")
 
 
+@pytest.mark.slow
 def test_from_scene_to_pictures(tour, tmp_path, capsys):
     tour(tmp_path)
     said = capsys.readouterr().out

@@ -181,6 +181,7 @@ def test_no_stale_callee_is_ever_run(clone):
     assert made.use(cache) == ["10.0", "7.0", "0", "1"]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_what_callers_are_compiled_from_is_read_by_who_compiles_one(clone):
     made, cache = clone
@@ -190,6 +191,7 @@ def test_what_callers_are_compiled_from_is_read_by_who_compiles_one(clone):
     assert made.use(cache, COUNTED) == ["6.0", "7.0", "0", "1", "1"]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_kept_file_that_cannot_be_read_is_compiled_anew_and_replaced(clone):
     """Half a file after a full disk, other people's bytes, and code that names a module which is no more."""

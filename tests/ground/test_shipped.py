@@ -68,14 +68,17 @@ def able():
         pytest.skip(f"this processor is no {KIND}")
 
 
+@pytest.mark.slow
 def test_what_came_with_the_wheel_is_not_compiled(install, able):
     assert install.use() == ["6.0", "7.0", "1", "1"]
 
 
+@pytest.mark.slow
 def test_a_computer_may_compile_for_itself(install, able):
     assert install.use(HERE) == ["6.0", "7.0", "0", "0"]
 
 
+@pytest.mark.slow
 def test_what_is_damaged_or_of_an_edited_file_is_compiled(install, able):
     """One kernel's code is cut short, what another one calls is edited; see above for both as they came."""
     (kept,) = install.made.rglob("other.other*.nbc")

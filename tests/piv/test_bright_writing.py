@@ -7,6 +7,7 @@ import pytest
 from piv.correlation.pair import evaluate_pair
 from piv.preprocessing.still_light import still_light
 from tests.piv.correlation.test_image_shapes import SIDE, ellipse, pair_of
+from tests.slow_cases import slow
 
 SLOW = lambda x, y: (0.9 + 0.0 * x, -0.5 + 0.0 * y)  # noqa: E731
 TURN = lambda x, y: (-0.03 * (y - 120.0), 0.03 * (x - 140.0))  # noqa: E731
@@ -23,7 +24,7 @@ def written_on(frames, words, scale, thick, foot):
     return [frame.astype(np.uint16) for frame in found], (ink[0] > 0) | (ink[1] > 0)
 
 
-@pytest.mark.parametrize(("scale", "thick"), [(1.2, 4), (1.6, 6)])
+@pytest.mark.parametrize(("scale", "thick"), [(1.2, 4), slow(1.6, 6)])
 @pytest.mark.parametrize("flow", [SLOW, TURN, WALL], ids=["slow", "turn", "wall"])
 def test_writing_that_outshines_the_particles_is_found(flow, scale, thick):
     """Particles before it, or a fluid in which hardly anything is quick, hid it: up to 171 vectors were wrong."""
@@ -42,7 +43,7 @@ def test_writing_that_outshines_the_particles_is_found(flow, scale, thick):
 
 
 @pytest.mark.parametrize("flow", [SLOW, TURN], ids=["slow", "turn"])
-@pytest.mark.parametrize(("scale", "level"), [(0.45, 1500), (0.7, 4095)])
+@pytest.mark.parametrize(("scale", "level"), [(0.45, 1500), slow(0.7, 4095)])
 def test_thin_writing_is_found_by_the_very_same_numbers(flow, scale, level):
     """Strokes of a pixel were not: up to 59 vectors of a pair were beyond 5 sigma and 0.3 px."""
     frames = pair_of(flow, ellipse(1.1, 1.1, 0.0), 7, seed=13, count=3000)
@@ -65,7 +66,7 @@ def test_saturated_particles_at_rest_are_no_writing(rests_px):
     assert found is None if rests_px == SIDE else found.mean() < 0.06
 
 
-@pytest.mark.parametrize("width_px", [60.0, 80.0])
+@pytest.mark.parametrize("width_px", [60.0, slow(80.0)])
 @pytest.mark.parametrize("flow", [SLOW, TURN, WALL], ids=["slow", "turn", "wall"])
 def test_a_flow_that_is_brightly_lit_does_not_stand_still(flow, width_px):
     """Nor where it turns or rests in the middle of the light: five times as bright as at its sides."""

@@ -196,6 +196,7 @@ def test_fixed_patterns_are_taken_off_and_named(fixed):
     assert np.nanmin(np.hypot(field.u_px, field.v_px)[field.valid]) >= 0.9 * field.common_light_px
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "flow"), one_in_three((0.02, 0.05), ((-2.65, 1.32), (3.95, -2.46), (1.82, 2.11), (-2.64, -4.93)))
 )
@@ -249,6 +250,7 @@ def test_a_slow_flow_with_sparse_particles_does_not_stand_still():
         assert field.valid.mean() > 0.9, seed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("deviation", "grain"), [(1.0, 1.5), slow(1.25, 1.7), (2.0, 3.4)])
 def test_coarse_textures_behind_flows_of_a_few_grains_are_taken_off_or_named(deviation, grain):
     """Vectors were drawn towards rest with a small sigma, and nothing was said of it."""
@@ -259,6 +261,7 @@ def test_coarse_textures_behind_flows_of_a_few_grains_are_taken_off_or_named(dev
     assert found.silent <= 0.002 * found.valid or "draws every vector to zero" in field.warning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.045, slow(0.06), 0.075])
 def test_what_moves_less_than_a_particle_image_is_not_valid_behind_a_pattern(slope):
     flow = lambda x, y: (slope * (y - 70), 0 * x)  # noqa: E731 - over 0 to more than 8 px
@@ -379,6 +382,7 @@ def test_sigma_is_that_of_the_noise_where_places_find_their_windows(density, los
     assert 0.9 < np.nanmedian(over) / 0.6745 < 1.13
 
 
+@pytest.mark.slow
 def test_vectors_between_particles_are_unsure_in_thin_seeding():
     """Of them 8 % were beyond 5 sigma and 0.3 px: windows saw the field beside their empty middle."""
     found = [

@@ -181,6 +181,7 @@ def test_several_problems_are_reported_at_once(bench, capsys):
     assert "bad.yaml:3" in said
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_trace_leaves_pictures(bench):
     assert main(["trace", str(bench / "scene.yaml"), "-o", str(bench / "trace")]) == 0

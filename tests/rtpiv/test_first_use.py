@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numba
 import numpy as np
+import pytest
 import tifffile
 
 import ground.jit.compile_news as compile_news
@@ -66,6 +67,7 @@ def test_verbs_that_call_others_have_their_kernels_once():
     assert calls_of("stage") == []
 
 
+@pytest.mark.slow
 def test_the_list_is_what_a_command_asks_for(tmp_path):
     (tmp_path / "scene.yaml").write_text(SMALL)
     tifffile.imwrite(tmp_path / "frame.tif", np.full((96, 96), 100, np.uint16))

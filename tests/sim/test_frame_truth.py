@@ -143,6 +143,7 @@ def best_focus(scene, travels_mm):
     return -b / (2.0 * a)
 
 
+@pytest.mark.slow
 def test_two_balls_need_125_mm_of_focal_depth():
     scene = demo_scene("two_spheres_500")
     background = best_focus(scene.with_bodies(()), np.arange(-8.0, 8.1, 4.0))

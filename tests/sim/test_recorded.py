@@ -336,6 +336,7 @@ TARGET = "experiment: target\nclear: {z_mm: [-10.0]}\nglass: {z_mm: [0.0]}\n"
 LENS = "\naperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "simulation"), [
     ("", "samples: 4"), ("", "samples: 3" + LENS), ("three_spheres_500.yaml", "samples: 4"),
     ("furnace_window.yaml", "samples: 2"),

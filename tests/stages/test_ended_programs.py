@@ -73,7 +73,7 @@ def play_all(bench, driver, doing, how, number):
 
 
 @pytest.mark.parametrize("number", [2, slow(30)])
-@pytest.mark.parametrize("how", ["Ctrl-C", "kill"])
+@pytest.mark.parametrize("how", [slow("Ctrl-C"), "kill"])
 @pytest.mark.parametrize("doing", DOINGS)
 def test_nothing_moves_on_when_a_program_has_ended(bench, driver, doing, how, number):
     assert play_all(bench, driver, doing, how, number) > 2 * number

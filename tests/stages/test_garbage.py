@@ -87,6 +87,7 @@ class Noisy:
         return [said._replace(data=garbage(self._rng, said.data)) for said in self._emulator.take_answers()]
 
 
+@pytest.mark.slow
 def test_no_position_from_a_corrupt_answer(bench, driver):
     """Every answer damaged: the driver gives up; it never reports a place where the axis is not."""
     made = bench(driver).homed({"a": 40.0, "b": 70.0})

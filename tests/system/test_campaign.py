@@ -60,6 +60,7 @@ def check_corrected_again(folder, run, tmp_path, size_px):
     return glass
 
 
+@pytest.mark.slow
 def test_target_and_shift_at_small_size(tmp_path):
     write_bench(tmp_path)
     target = acquire(tmp_path, TARGET)

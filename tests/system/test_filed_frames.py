@@ -22,6 +22,7 @@ def acquired(folder, simulation):
     return run
 
 
+@pytest.mark.slow
 def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypatch):
     run = acquired(tmp_path, "samples: 1\nprints_truth: true")
     assert find_misfiled(run) == []

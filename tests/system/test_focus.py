@@ -47,6 +47,7 @@ def test_two_balls_need_125_mm_and_a_smaller_aperture_than_planned(tmp_path):
     assert found["needed_f_number"] == pytest.approx(26.3, abs=0.4)
 
 
+@pytest.mark.slow
 def test_a_scan_beside_the_glass_finds_the_plane(tmp_path):
     found = scanned(tmp_path, 160, [-90.0, -45.0, 0.0, 45.0, 90.0], 4)
     assert found["best"]["beside"]["z_mm"] == pytest.approx(0.0, abs=6.0)

@@ -79,6 +79,7 @@ def ready_to_move(bench, terminal):
     bench.wait_until(lambda: bench.true_mm("rail_z") > -190.0)
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_holds_and_comes_back_to_the_prompt_and_a_second_one_leaves(bench, terminal):
     ready_to_move(bench, terminal)
     terminal.type(CTRL_C)

@@ -26,6 +26,7 @@ CAMERA = """camera:
 """
 
 
+@pytest.mark.slow
 def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, monkeypatch, capsys):
     write_bench(tmp_path, SIDE_PX, "ring: ring\nrow_time_us: 1.0", CAMERA)
     (tmp_path / "ring").mkdir()

@@ -101,6 +101,7 @@ def judge(scenes: int, rays: int, seed: int) -> tuple[int, int]:
     return landed, grazing
 
 
+@pytest.mark.slow
 def test_random_rays_against_50_digits() -> None:
     landed, grazing = judge(scenes=2, rays=15, seed=3)
     assert landed > 15

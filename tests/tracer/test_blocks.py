@@ -108,6 +108,7 @@ def test_many_random_rays_against_50_digits() -> None:
     assert min(ends.values()) > 10
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_rays() -> None:
     box = Box(
         "box", rectangle(30.0, 24.0), 20.0, GLASS, (-14.0, 2.0, 50.0), rotate_axes(UNTURNED, (0.1, 0.3, 0.05))

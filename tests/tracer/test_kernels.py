@@ -8,6 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from benchmarks.reference import follow, pixel_direction
 from benchmarks.scenes import PAPER, aimed_pixels
+from tests.slow_cases import slow_but
 from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.bodies.rod import meets_rod
@@ -32,7 +33,7 @@ def exact_derivatives(where: Scene, u: float, v: float) -> np.ndarray:
     return np.array(columns).T
 
 
-@pytest.mark.parametrize("name", [*PAPER, TILTED, HOLLOW])
+@pytest.mark.parametrize("name", slow_but([*PAPER, TILTED, HOLLOW], PAPER[-1], TILTED, HOLLOW))
 def test_analytic_derivatives(name: str) -> None:
     """Lens terms, direction, every turn and the landing: 1e-8 of the matrix, rims excepted."""
     where = scene(name)

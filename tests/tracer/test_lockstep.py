@@ -11,6 +11,7 @@ from benchmarks.reference import follow_pixel
 from benchmarks.scenes import PAPER, aimed_pixels
 from ground.rows import run_rows
 from tests.loops import loop_over
+from tests.slow_cases import slow_but
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens, look_at
 from tracer.kernels.branches import branch_number
@@ -70,7 +71,7 @@ def test_nothing_aligned_and_lens_terms() -> None:
     check(where.with_camera(shrunk(where.camera, 8.0)))
 
 
-@pytest.mark.parametrize("name", [*PAPER, TILTED])
+@pytest.mark.parametrize("name", slow_but([*PAPER, TILTED], PAPER[0], PAPER[-1], TILTED))
 def test_whole_sensors_against_fifty_digits(name: str) -> None:
     """Pixels of the full map: centre 1e-12 mm, rim 1e-11, last 1 % 1e-5; bent scenes as the single rays."""
     where = scene(name)

@@ -150,6 +150,7 @@ def turned_stone(tmp_path: Path) -> Scene:
     return load_scene(tmp_path / "scene.yaml")
 
 
+@pytest.mark.slow
 def test_a_mesh_stands_where_the_file_says(tmp_path: Path) -> None:
     scene = turned_stone(tmp_path)
     points, normals, triangles = stone_points(4)

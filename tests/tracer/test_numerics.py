@@ -133,6 +133,7 @@ def test_distance_impact_and_index(distance: float, impact: float, n: float) -> 
     assert lost <= inherent + 1.0
 
 
+@pytest.mark.slow
 @loop_over("radius_mm", RADII_MM)
 @loop_over("impact", IMPACTS)
 def test_radius(radius_mm: float, impact: float) -> None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ def check_rays(result: TraceResult) -> None:
     assert np.all((rays["events"] > 0) == (rays["key"] != 1))
 
 
+@pytest.mark.slow
 def test_a_million_random_rays_on_random_scenes() -> None:
     rng = np.random.default_rng(0)
     statuses = np.zeros(len(RayStatus), dtype=np.int64)

@@ -226,6 +226,7 @@ def grazing(rng: np.random.Generator) -> tuple[list[float], np.ndarray]:
     return [*p.tolist(), *d.tolist()], np.array([[*centre, radius, N, 0.0]])
 
 
+@pytest.mark.slow
 def test_tangents_pass() -> None:
     """At 50 digits they miss, or bring less than 1e-11 of their light through; none is totally reflected."""
     trail, state = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE))

@@ -426,6 +426,7 @@ def test_fuzzed_trees_load_or_are_refused(text: str, tmp_path: Path) -> None:
     assert load_scene(write(tmp_path, dump_scene(loaded))).content_hash() == loaded.content_hash()
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     at=st.integers(0, len(GOOD)),

@@ -118,6 +118,7 @@ def test_derivatives_are_those_of_the_rays() -> None:
     assert judged > 1000
 
 
+@pytest.mark.slow
 def test_landing_points_follow_every_row() -> None:
     """Columns of all walls of drawn scenes at once, backwards, against differences of the rays."""
     rng, step, judged = np.random.default_rng(6), 1e-5, 0

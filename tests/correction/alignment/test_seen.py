@@ -90,6 +90,7 @@ def test_a_rim_half_out_of_the_frame_is_enough_and_says_what_it_costs(frame):
     assert np.all(half.sigma_mm[:2] > whole.sigma_mm[:2])
 
 
+@pytest.mark.slow
 def test_dust_that_looks_like_another_rim_is_refused_and_smaller_rings_are_not(frame):
     one_ball = NOMINAL.with_bodies(NOMINAL.bodies[1:])
     alone = drawn(moved(one_ball, glass_mm=GLASS))

@@ -56,6 +56,7 @@ def drawn_landings(bench, draw, pixels, glass):
         yield trace(scene if glass else scene.with_bodies(()), pixels).plane_mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("glass", [True, slow(False)])
 def test_sigma_is_the_spread_of_drawn_scenes(known, glass):
     bench, sigma, cmap, draw = known

@@ -203,6 +203,7 @@ def test_derivatives_by_the_scene_are_those_of_residuals_on_a_bent_board(glass):
         assert np.median(off / size) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [71151, slow(71047), slow(71111)])
 def test_a_bend_is_found_though_the_camera_went_aside_for_it(seed):
     """Sigma was a fourteenth of the error: the bend was found to be a fifth of what it is.

@@ -89,6 +89,7 @@ def test_edges_that_are_chipped_or_lie_beyond_the_frame_are_right_or_left_out(ki
         assert off_px < 4.0 * edge.sigma_rad * truth.camera.focal_px
 
 
+@pytest.mark.slow
 def test_frames_without_a_difference_show_no_edges() -> None:
     truth = replace(BASE, bodies=(BLOCKS["box"],))
     bare, again = (photograph(truth.bare(), False, 0.0, seed, SQUARE_MM) for seed in (31, 32))

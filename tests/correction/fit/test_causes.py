@@ -40,6 +40,7 @@ def test_exchanged_files_are_named():
         fit_scene(bench(*MADE).nominal, exchanged, bench(*MADE).board)
 
 
+@pytest.mark.slow
 def test_exchanged_heights_are_named():
     bare = [frame for frame in bench(*MADE).frames if not frame.glass]
     nominal = bench(*MADE).nominal.with_bodies(())
@@ -71,6 +72,7 @@ def tank(tmp_path):
     return load_scene(path), load_priors(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", [Chessboard(15.0, 6.0), slow(Chessboard(15.0, discs=(), squares=(9, 8)))])
 def test_a_board_behind_much_water_is_as_large_as_its_window_shows_it(tank, board):
     """Through 260 mm of water squares look a tenth larger; nothing of the board is to be corrected."""
@@ -117,6 +119,7 @@ def test_a_distance_far_from_what_was_known_is_reported(tank):
     assert any("warning: camera.z is 3." in line for line in said), said
 
 
+@pytest.mark.slow
 def test_few_usable_dots_are_refused_in_numbers(tank, monkeypatch, recwarn):
     """Dots of which hardly a picture is whole; it ended in sentences with NaN, after warnings of NumPy."""
     nominal, priors = replace(tank[0], bodies=()), tank[1]

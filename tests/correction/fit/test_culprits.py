@@ -224,6 +224,7 @@ def test_a_camera_that_moved_between_frames_is_named_and_in_sigma(seed):
     assert chi[True] < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 6))])
 def test_a_lens_that_was_focused_between_frames_is_named_and_in_sigma(seed):
     camera = right(seed).bare.camera
@@ -289,6 +290,7 @@ def test_derivatives_say_the_difference_where_the_map_shows_anything(name, seed)
     assert 0.3 < np.sqrt(np.median(np.sum(left**2, axis=1)) / 1.386) / unsaid_px < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "fault"), [(131016, "ball off"), pytest.param(101014, "ellipsoid", marks=pytest.mark.slow)]
 )
@@ -325,6 +327,7 @@ def test_what_is_held_is_doubted_by_its_ordinary_size_and_one_glass_has_one_inde
     assert [moved[0][at] for at in moved[1]] == ["sphere1.n", "sphere2.n"]
 
 
+@pytest.mark.slow
 def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_it_was_held(monkeypatch):
     def largest() -> float:
         lab = drawn_lab(20086, "index", size=1e-3)
@@ -348,6 +351,7 @@ def test_a_lab_known_along_one_way_and_not_at_all_along_another_is_judged_as_wel
     assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
 
 
+@pytest.mark.slow
 def test_a_held_ball_that_shows_no_corner_is_as_unsure_as_one_that_is_free():
     """It stands 1.6 mm off, and nothing in the frames says so: its map must, behind it."""
     lab = drawn_lab(57009, "ball off", draw=stranger)

@@ -1,6 +1,7 @@
 """Centres of dots: what perspective and balls do to their pictures is known from the rays, and taken off."""
 
 import numpy as np
+import pytest
 
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.bent_view import window_bias
@@ -52,6 +53,7 @@ def test_perspective_puts_the_middle_of_a_circle_where_projective_geometry_has_i
     assert np.abs(off - true).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_centres_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
     scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 5)
     board, paper = grid(5.0)
@@ -67,6 +69,7 @@ def test_centres_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_of
     assert np.sqrt(np.mean(off[there] ** 2)) < 0.02
 
 
+@pytest.mark.slow
 def test_dots_that_are_all_alike_fit_a_camera_by_the_origin_pointed_at_in_the_first_of_three_heights():
     nominal = at_size(demo_scene("two_spheres_500"), 504)
     truth = misalign(nominal, 3).with_bodies(())

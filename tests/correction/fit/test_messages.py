@@ -135,6 +135,7 @@ def test_a_distance_that_moved_far_is_a_warning_and_the_right_one_is_none():
         assert all("camera.z" in one and "measure the distance" in one for one in said)
 
 
+@pytest.mark.slow
 def test_frames_out_of_focus_are_named_as_such():
     """Discs of 0.4 squares are lost in edges blurred by 0.25; sharp frames without discs are none of these."""
     case = right(1)

@@ -252,6 +252,7 @@ def fitted(name, print_scale=1.0, radius_scale=1.0, radius_mm=0.02, scale_sigma=
     return Adjustment().estimate(bench, bench.start, frames, ()), truth, bench
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "faults", "said"),
     [
@@ -272,6 +273,7 @@ def test_a_wrong_scale_that_no_single_prior_shows_is_named_and_is_in_sigma(name,
         check(replace(fit, verdict=far))
 
 
+@pytest.mark.slow
 def test_a_print_whose_scale_is_unsure_takes_it_up_without_an_alarm():
     fit, _, bench = fitted("two_spheres_500", print_scale=1.004, scale_sigma=0.005)
     assert fit.verdict.is_right, fit.verdict.sentences

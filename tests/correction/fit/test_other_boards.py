@@ -61,6 +61,7 @@ def test_the_map_behind_two_balls_is_right_by_any_board(kind, seed):
     assert fit.board.odd_bright == (paper.odd_bright if kind in ("discs", "plain") else board.odd_bright)
 
 
+@pytest.mark.slow
 def test_a_plain_board_of_another_count_is_refused_with_both():
     nominal = at_size(demo_scene("two_spheres_500"), 1008)
     bare = render(misalign(nominal, 3).with_bodies(()), BOARDS["plain"][1], Sensor(), samples=2, seed=1)

@@ -81,6 +81,7 @@ def test_marks_of_the_other_level_are_expected_aside_as_far_as_they_stand_and_re
     assert np.abs(before[~deep]).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shown", "told", "words"),
     [
@@ -108,6 +109,7 @@ def test_a_plate_told_right_fits_and_says_its_step():
     assert abs(step - STEP_MM) < 4.0 * sigma
 
 
+@pytest.mark.slow
 def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
     scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 5)
     board, paper = plate("rows", 1.0, 5.0)

@@ -130,6 +130,7 @@ def work_with(frames, said=None):
     return Progress(scene, frames, BOARD, PRIORS, (said if said is not None else []).append)
 
 
+@pytest.mark.slow
 def test_poses_are_found_through_the_tank_tilted_upside_down_and_partly_in_view():
     aside = ((60.0, 30.0, -70.0), (0.0, -0.35, 0.4))
     work = work_with(frames_of(FLAT, TILTED, UPSIDE_DOWN, aside, blur_px=1.5))
@@ -142,6 +143,7 @@ def test_poses_are_found_through_the_tank_tilted_upside_down_and_partly_in_view(
         )
 
 
+@pytest.mark.slow
 def test_frames_that_say_nothing_are_left_out_with_the_reason():
     frames = frames_of(FLAT, TILTED, UPSIDE_DOWN, TILTED)
     blank = replace(frames[1], name="target_clear_pose4", pose="pose4", image=np.full(SHAPE, 900, np.uint16))

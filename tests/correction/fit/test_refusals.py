@@ -46,11 +46,13 @@ def test_no_corners():
         fit_scene(bench(*MADE).nominal, [flat(False), clear_and_glass()[1]], BOARD)
 
 
+@pytest.mark.slow
 def test_no_corners_behind_glass():
     with pytest.raises(GlassNotSeen, match="flat: only 0 corners where the glass should be"):
         fit_scene(bench(*MADE).nominal, [clear_and_glass()[0], flat(True)], BOARD)
 
 
+@pytest.mark.slow
 def test_squares_too_small_through_the_glass():
     """A small ball far from the target shows all of it, far too small."""
     nominal = bench(*MADE).nominal

@@ -90,6 +90,7 @@ def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
         MapSigma.load(tmp_path / "s.npz")
 
 
+@pytest.mark.slow
 def test_frames_from_right_to_left_give_the_same_scene_and_map():
     """A camera that looks by a mirror."""
     made, usual = bench(*SMALL), fitted(*SMALL).measured_scene
@@ -108,6 +109,7 @@ def test_frames_from_right_to_left_give_the_same_scene_and_map():
     assert np.median(np.linalg.norm((seen.plane_mm - same.plane_mm)[both], axis=1)) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_frame_with_saturated_paper_is_fitted_with_a_warning():
     """Bright squares widen towards all sides alike, so corners stay where they are."""
     made, usual = bench(*SMALL), fitted(*SMALL)

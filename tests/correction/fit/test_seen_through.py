@@ -51,6 +51,7 @@ def test_a_ball_that_is_not_as_described_is_named_with_what_it_seems_to_be(kind)
     assert next(iter(found)) == ball
 
 
+@pytest.mark.slow
 def test_balls_as_described_are_left_alone_and_what_nothing_explains_is_no_alarm():
     assert not words("", 74050)  # one ball stands 0.3 mm nearer to the camera than given
     # Two labs are rendered for this: the second shows a ball that nothing on the list explains.

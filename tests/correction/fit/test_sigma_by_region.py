@@ -70,6 +70,7 @@ def test_the_bending_of_a_view_pulls_corners_along_its_unevenness_and_nowhere_el
     assert (np.abs(along) > 0.9 * np.linalg.norm(bent.bent_px, axis=1)).all()  # by symmetry
 
 
+@pytest.mark.slow
 def test_sigma_behind_aligned_balls_holds_what_the_bent_view_does_to_corners():
     """As far off as exact renders are: error 0.003 px where corners alone promise 0.001."""
     lab = drawn_lab(FIRST, noise_px=0.003, draw=aligned, pulled=1.0)

@@ -39,6 +39,7 @@ def worst_px(found: CorrectionMap, scene, sigma) -> np.ndarray:
     return worst
 
 
+@pytest.mark.slow
 def test_what_is_less_sure_is_left_out_and_little_else(scene, sigma):
     whole = prepare(scene).corrector.map
     kept = prepare(scene, limit=SigmaLimit(sigma, LIMIT_PX)).corrector

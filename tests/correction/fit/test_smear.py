@@ -202,6 +202,7 @@ def test_too_few_corners_tell_nothing():
     assert colour_smear([replace(few, way=np.arange(COUNT).astype(str))]) is None
 
 
+@pytest.mark.slow
 def test_a_drawn_lab_in_white_light_is_named_and_one_in_one_colour_is_not():
     white, laser = drawn_lab(34001, "light").fit.verdict, drawn_lab(34001).fit.verdict
     assert not white.is_right

@@ -89,6 +89,7 @@ def chi_of(cases: list[tuple[int, float, float]]) -> float:
     return float(np.sqrt(np.mean([np.mean((error / sigma) ** 2) for error, sigma in labs])))
 
 
+@pytest.mark.slow
 def test_sigma_beside_glass_is_no_boast_where_the_board_is_straight():
     assert chi_of([(40 + n, TURNS_RAD[n % 5], 0.015) for n in range(5)]) < 1.5  # of five labs, 1.25 of many
 

@@ -142,6 +142,7 @@ fit:
         load_priors(path)
 
 
+@pytest.mark.slow
 def test_every_derivative_by_walls_agrees_with_differences() -> None:
     """Balls in a tube of liquid behind a window that holds back another one: with the glass, and without."""
     scene = walled_scene()

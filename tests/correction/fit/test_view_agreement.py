@@ -81,6 +81,7 @@ def test_nor_is_it_in_blurred_and_noisy_frames(blur_px, noise):
     assert compared(lab(), image) == Compared()
 
 
+@pytest.mark.slow
 def test_a_print_that_is_larger_than_measured_is_compared_as_large_as_it_was_found():
     image = frame(lab(), 1.012)
     assert compared(lab(), image, BOARD.stretch((1.012, 1.012))) == Compared()

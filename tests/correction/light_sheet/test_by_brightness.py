@@ -24,6 +24,7 @@ def given_at(z_mm: float) -> Scene:
     return replace(SCENE, sheet=replace(SHEET, z_mm=z_mm))
 
 
+@pytest.mark.slow
 def test_a_frame_of_the_traced_light_tells_the_height_it_was_traced_at():
     """An uneven gain, and the scatter of a thousand particles a pixel; the scene says 0.8 mm less."""
     bright = np.nan_to_num(_brightness(given_at(22.0).in_light_sheet())[0])

@@ -33,6 +33,7 @@ def ring():
     return scene, views, cell, models
 
 
+@pytest.mark.slow
 def test_faint_cells_are_all_heard(ring, monkeypatch):
     scene, views, cell, models = ring
     monkeypatch.setattr(disparities, "_models", lambda *_: models)

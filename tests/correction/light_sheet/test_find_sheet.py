@@ -52,6 +52,7 @@ def test_height_and_tilt_are_found_within_their_sigma(three):
     assert size.max() > 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [1e-3, slow(0.0)])
 def test_a_sheet_that_is_known_is_left_where_it_is(three, sigma):
     scene, pairs = three
@@ -61,6 +62,7 @@ def test_a_sheet_that_is_known_is_left_where_it_is(three, sigma):
     assert found.sheet.sigma_mm <= 1e-3
 
 
+@pytest.mark.slow
 def test_a_moved_ball_is_no_sheet(three):
     scene, pairs = three
     found = find_sheet(moved(scene, 1, (0.1, 0.0, 0.0)), pairs)
@@ -93,6 +95,7 @@ def test_a_ball_moved_along_the_view_makes_no_sheet_up(three, step_mm):
         assert (np.abs(numbers(found.sheet) - TRUTH) < 3.5 * sigmas(found.sheet)).all()
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_unsure_makes_the_sheet_unsure(three):
     """A ball 0.08 mm beside its place along the view, and a fit that knew it to 0.08 mm."""
     scene, pairs = three

@@ -18,6 +18,7 @@ def forecast(name, size_px, step=1):
     return sheet_forecast(scene, double_views(scene, step=step))
 
 
+@pytest.mark.slow
 def test_a_broad_ring_tells_much_and_more_pixels_more():
     coarse, fine = forecast("three_spheres_500", 336), forecast("three_spheres_500", 672)
     assert fine.sigma_mm < 0.4 * coarse.sigma_mm < 0.02

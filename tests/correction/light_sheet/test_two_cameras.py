@@ -20,6 +20,7 @@ def disparity(rng, slope_spread=0.1):
     return place, -slope * height[:, None] + sigma * rng.standard_normal((400, 2)), sigma, slope
 
 
+@pytest.mark.slow
 def test_the_plane_and_its_sigma():
     off, said = [], []
     for seed in range(60):

@@ -182,6 +182,7 @@ def test_a_photographed_board_gives_its_warp():
         fit_dewarp(photographed(dark, 1), camera, board)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [slow(""), "rows"])
 def test_dots_on_one_level_or_on_two_show_the_lens(levels):
     """Of a plate that is taken to be flat the lower dots would lie a third of a per cent nearer to the middle."""

@@ -67,6 +67,7 @@ def misses_px(scene, found, points):
     return out
 
 
+@pytest.mark.slow
 def test_nodes_are_looked_up_where_lit_particles_are_seen(scene):
     """Light that a ball has bent lies off the plane: particles behind two balls are seen 1 px aside."""
     lit = prepare(scene.in_light_sheet()).corrector.map
@@ -244,6 +245,7 @@ def test_light_that_meets_no_body_is_the_plane(scene):
     assert prepare(replace(bare, light=SHEET)).height_change is None
 
 
+@pytest.mark.slow
 def test_the_sigma_of_the_surface_is_the_spread_of_drawn_sheets(scene):
     """Sheets at other heights light other surfaces: maps of each, and the stated standard deviation."""
     seen = scene.in_light_sheet()

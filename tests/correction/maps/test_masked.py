@@ -247,6 +247,7 @@ def test_between_traced_nodes_the_blur_is_interpolated():
     np.testing.assert_array_equal(every.shift_px[~pinhole.behind_glass], 0.0)
 
 
+@pytest.mark.slow
 def test_what_a_wide_pupil_blurs_is_left_out():
     scene = at(1.4)
     found = map_of(1.4)

@@ -91,6 +91,7 @@ def drawn():
     return scene, lambda: iter(pairs)
 
 
+@pytest.mark.slow
 def test_frames_tell_which_sphere_has_moved(drawn):
     scene, pairs = drawn
     assert not check_spheres(scene, pairs).likely_moves

@@ -65,6 +65,7 @@ def test_a_triangle_that_light_hides_is_told_by_the_camera_and_else_refused():
     assert len(found) > 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [slow(400), 406])  # walls that join dots; shadows beside the square
 def test_walls_of_a_bright_plate_hide_neither_dots_nor_the_triangle(seed):
     image, made, view, _ = photograph(seed, bright_dots=False)

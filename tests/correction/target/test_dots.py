@@ -34,6 +34,7 @@ def seen(true=NOMINAL, **changed):
     return render(Scene(true, ()), paper, Sensor(), samples=4, seed=1)
 
 
+@pytest.mark.slow
 def test_of_some_drawn_grids_none_is_wrong():
     count, wrong, rms = counted("dots", FEW)
     assert not wrong

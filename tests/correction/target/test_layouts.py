@@ -167,6 +167,7 @@ def test_a_wrong_number_of_squares_is_refused(by, legacy):
         track_board(image, told(11 + by[0], 8 + by[1]), project, reach=6.0)
 
 
+@pytest.mark.slow
 def test_a_wrong_dictionary_is_named():
     image, _ = drawn(9, 8, False)
     with pytest.raises(TargetNotFound, match=r"shows \d+ markers of DICT_5X5_1000, .* names DICT_4X4_1000"):

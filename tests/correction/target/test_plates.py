@@ -65,6 +65,7 @@ def test_dots_of_both_levels_are_where_they_were_cut(levels, view):
         assert np.median(np.linalg.norm(flat[deep], axis=1)) > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", LEVELS)
 def test_a_camera_that_is_believed_a_pitch_aside_moves_no_dot(levels):
     true = camera((PITCH_MM, -2.0 * PITCH_MM, 300.0), (PITCH_MM, -2.0 * PITCH_MM), 0.02)

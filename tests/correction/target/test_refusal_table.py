@@ -20,6 +20,7 @@ from correction.target.scale_search import find_patches
 from tests.correction.synthetic_board import photographed, soft_board
 from tests.correction.target.count_degraded import judged
 from tests.correction.target.test_board_search import SHAPE, miss_mm, view
+from tests.slow_cases import slow_but
 from tracer.board import OLDER
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -105,7 +106,7 @@ REFUSED_AND_FOLLOWED = {  # words of a refusal: the board, what is given (pictur
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("words", REFUSED_AND_FOLLOWED)
+@pytest.mark.parametrize("words", slow_but(REFUSED_AND_FOLLOWED, *[*REFUSED_AND_FOLLOWED][::2]))
 def test_a_refusal_followed_finds_the_board(words):
     board, *given = REFUSED_AND_FOLLOWED[words]
     reach, aside = (None, ASIDE_MM) if board is DISCS else (0.7, (0.0, 0.0))
@@ -137,6 +138,7 @@ def test_spots_like_discs_are_refused_and_masked_as_advised():
     assert miss_mm(find_board(image, DISCS, mask), view(3.0)) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "words"),
     [

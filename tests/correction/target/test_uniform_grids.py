@@ -142,6 +142,7 @@ def placed_at_random(seed):
     return np.sqrt(np.mean(off**2))
 
 
+@pytest.mark.slow
 def test_of_eight_grids_drawn_at_random_all_are_right():
     assert np.median([placed_at_random(seed) for seed in range(8)]) < 0.03
 

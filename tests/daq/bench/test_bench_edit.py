@@ -77,6 +77,7 @@ def test_identities_in_both_layouts():
     assert controllers["glass"]["identity"] == 'a "quoted", odd: one # 7'
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     text=st.sampled_from([FLOW, BLOCK, NONE]),

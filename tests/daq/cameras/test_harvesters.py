@@ -167,6 +167,7 @@ def test_a_missing_or_foreign_file_is_a_setup_error(tmp_path):
         HarvestersCamera(tmp_path / "text.cti").open()
 
 
+@pytest.mark.slow
 def test_a_serial_number_that_is_not_there_names_those_that_are(tmp_path):
     need_harvesters()
     cti = write_producer(tmp_path / "two.cti", [CameraConfig(serial="A1"), CameraConfig(serial="A2")])

@@ -125,6 +125,7 @@ def test_a_page_says_that_its_run_was_killed_or_why_it_stopped(ends: str, said: 
         program.stdout.close()
 
 
+@pytest.mark.slow
 def test_a_server_that_dies_is_started_again_under_the_same_address() -> None:
     with LivePage(BYTES) as page:
         killed, url = page.server_pid, page.url

@@ -75,6 +75,7 @@ def test_nonsense_leaves_no_trace_and_viewers_are_served(capfd: pytest.CaptureFi
     assert (said.out, said.err) == ("", "")
 
 
+@pytest.mark.slow
 def test_a_viewer_who_looks_everywhere_in_one_picture_fills_no_memory() -> None:
     with LivePage(BYTES) as page:
         shown_once(page, 1)

@@ -3,6 +3,8 @@
 import json
 from dataclasses import asdict
 
+import pytest
+
 from correction.target import Chessboard
 from correction.target.codes import with_codes
 from daq.live.frame_quality import FrameQuality
@@ -82,6 +84,7 @@ def test_a_sphere_that_moved_is_named_by_particles_of_one_pulse():
         slot.close()
 
 
+@pytest.mark.slow
 def test_which_way_the_focus_goes_is_followed_and_forgotten_with_the_step(monkeypatch):
     clock = [0.0]
     monkeypatch.setattr("daq.live.frame_quality.time.monotonic", lambda: clock[0])

@@ -308,6 +308,7 @@ def test_nobody_copies_while_nobody_looks() -> None:
             taken(found)  # what was shown last, though nothing comes any more
 
 
+@pytest.mark.slow
 def test_stalled_viewers_and_a_killed_page_hold_nobody_up() -> None:
     with showing() as measures, ExitStack() as stack:
         stalled = [stack.enter_context(viewer(measures.page)) for _ in range(20)]

@@ -148,6 +148,7 @@ def test_a_synchroniser_at_another_rate_than_the_plans_is_found(tmp_path, rate_h
         run(tmp_path, rate_hz=rate_hz, pairs=6, chunk=6)
 
 
+@pytest.mark.slow
 def test_a_synchroniser_that_ends_leaves_a_run_that_goes_on(tmp_path, monkeypatch):
     start, hand_over, units = SimulatedTiming.start, PairSource.hand_over, []
 
@@ -165,6 +166,7 @@ def test_a_synchroniser_that_ends_leaves_a_run_that_goes_on(tmp_path, monkeypatc
     assert 4 < len(pairs_of(path).pairs) < 100
 
 
+@pytest.mark.slow
 def test_the_wait_for_the_first_trigger_ends_on_request(tmp_path, monkeypatch):
     bench, plan = write_foreign(tmp_path)
     bench.write_text(re.sub("  synchroniser: .*\n", "", bench.read_text()))

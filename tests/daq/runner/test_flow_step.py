@@ -105,6 +105,7 @@ def test_a_marker_on_exposure_b_of_even_frames_ends_the_run_in_doubt(tmp_path, m
         run(tmp_path, shape="straddling", channels=DIODES, backend="aravis", pairs=30, chunk=15)
 
 
+@pytest.mark.slow
 def test_the_end_may_be_asked_for_and_the_run_goes_on_with_whole_pairs(tmp_path, monkeypatch):
     """A frame is lost from the disk's records as by a kill between the two frames of a pair."""
     bench, plan = write_flow(tmp_path, channels=DIODES, pairs=12, chunk=6)

@@ -22,7 +22,7 @@ from tests.daq.cameras.rigs import need_harvesters
 from tests.daq.flow_bench import write_flow
 from tests.daq.runner.wrong_boxes import WRONG
 from tests.daq.timing.quantum_desk import EXPOSURES, PUMPED, WIRING, LaserHead, desk
-from tests.slow_cases import one_in_three, slow
+from tests.slow_cases import one_in_three, slow, slow_but
 
 TIMING = PulseTiming(20.0, 10.0)
 
@@ -127,7 +127,7 @@ def test_a_box_that_keeps_to_its_manual_is_proven_at_every_plug(firmware, has_la
         assert d.box.wiring == (wires if not has_lamps else WIRING)
 
 
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("wrong", slow_but(WRONG, *[*WRONG][::3]))
 def test_no_box_that_is_wrong_in_one_way_is_certified(wrong):
     with desk() as d:
         WRONG[wrong](d)
@@ -192,6 +192,7 @@ def test_a_bench_whose_chunks_are_too_short_for_a_hand_is_told_what_to_set():
         assert all(trial.is_right for trial in tried(d))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [0.6, slow(1.0), 15.0])
 def test_a_right_box_is_proven_at_slow_and_fast_rates(rate_hz):
     with desk() as d:

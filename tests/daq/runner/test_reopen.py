@@ -71,6 +71,7 @@ def test_a_run_that_began_before_there_were_seals_goes_on(tmp_path):
         folder.entries()
 
 
+@pytest.mark.slow
 def test_other_controllers_are_refused_before_anything_moves(run):
     """Two of the boxes have changed places: the first session wrote down who was who."""
     pytest.importorskip("harvesters", reason="the simulated camera needs harvesters (extra rtpiv[camera])")

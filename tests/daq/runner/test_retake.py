@@ -82,6 +82,7 @@ def test_a_finished_run_is_taken_again_only_where_it_has_to_be(run):
     assert folder.is_done  # nothing is touched before the bench is open
 
 
+@pytest.mark.slow
 def test_from_the_command_line(run, capsys):
     """Check finds it, resume refuses, retake mends it, check is content; done.json is written anew."""
     pytest.importorskip("harvesters", reason="the simulated camera needs harvesters (extra rtpiv[camera])")

@@ -133,6 +133,7 @@ def test_a_whole_stream_has_no_gaps_and_no_further_arm(run):
     assert all(number == picture for number, picture in shown(run[2]).items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("killed_after", [37, slow(38)])
 def test_what_a_killed_stream_has_stays_and_the_rest_is_taken(run, tmp_path, killed_after):
     """The folder is copied in the middle of the run: what a kill at that moment leaves."""

@@ -108,6 +108,7 @@ class Page:
 PAGES = []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["harvesters", pytest.param("aravis", marks=pytest.mark.slow)])
 def test_what_either_loses_is_lost_for_both(tmp_path, capsys, monkeypatch, backend):
     if backend == "aravis":

@@ -351,6 +351,7 @@ def fuzzed(seed):
         return found, len(d.light_s)
 
 
+@pytest.mark.slow
 def test_random_verbs_and_persons_give_no_light_after_an_off():
     stories = [fuzzed(seed) for seed in range(int(os.environ.get("RTPIV_DG645_STORIES", "60")))]
     assert [said for found, _ in stories for said in found] == []

@@ -54,6 +54,7 @@ def played(playground, controller, do, what, number, action):
     assert not findings, f"{findings[0]}  {written(sequence)}"
 
 
+@pytest.mark.slow
 @loop_over("controller, number", CASES)
 def test_at_some_places(controller, number):
     playground, do = Playground(), DURING[controller][number]

@@ -21,6 +21,7 @@ def without_persons(monkeypatch):
     monkeypatch.setattr("tests.fuzz.benches.laser.PERSON_AS_IT_FIRES", 0.0)
 
 
+@pytest.mark.slow
 def test_nothing_moves_while_light_leaves():
     books, found = play(range(30), "ci")
     assert not found, "\n".join(found)

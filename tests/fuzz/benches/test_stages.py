@@ -47,6 +47,7 @@ WITHOUT = {  # protection -> what it is taken away with, stories, and the findin
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protection", WITHOUT)
 def test_without_a_protection_what_it_prevents_is_found(monkeypatch, protection):
     patches, of, numbers, kind = WITHOUT[protection]
@@ -75,6 +76,7 @@ def two_at_once(rng):
     return [*apart, Command(["beside", one, other]), Command(["beside", third, fourth])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("takes_turns", [True, False])
 def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
     playground, rng, seen = Playground(), random.Random(3), []
@@ -87,6 +89,7 @@ def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
     assert bool(seen) is not takes_turns, seen
 
 
+@pytest.mark.slow
 def test_sequences_know_nothing_of_each_other():
     playground, numbers = Playground(), range(10)
     sequences = [

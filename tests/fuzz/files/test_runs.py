@@ -125,6 +125,7 @@ def test_damaged_records_are_refused_or_read_as_they_were(done_run, name, verb, 
     assert refused > count // 2 or (name, verb) in IGNORED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "verb"), CASES)
 def test_records_without_seals_raise_nothing_but_our_own_errors(done_run, name, verb):
     """Runs of the first layout: types alone cannot find every damage, but none is a traceback."""

@@ -34,6 +34,7 @@ def test_crests_of_short_waves_are_kept(particle_pair, length_px, least):
     assert valid >= 0.99
 
 
+@pytest.mark.slow
 def test_strangers_have_few_vectors_and_are_called_strangers(particle_pair):
     field = evaluate_pair(particle_pair(mix, seed=1)[0], particle_pair(mix, seed=2)[1])
     assert field.valid.mean() <= 0.2

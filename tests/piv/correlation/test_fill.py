@@ -19,6 +19,7 @@ def scattered(share, seed=3, shape=(512, 512)):
     return np.random.default_rng(seed).uniform(size=shape) >= share
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "truth",
     [slow(mix, name="mix"), slow(uniform(9.9, 9.9), name="9.9"), pytest.param(uniform(5.0, -3.0), id="whole")],
@@ -61,6 +62,7 @@ def test_a_vortex_through_dead_pixels(particle_pair):
     assert rms(errors(field, vortex())) < 0.02  # 0.026 before filled pixels weighed what they are worth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [slow(0.05), 0.2, slow(0.3)])
 def test_strangers_do_not_become_a_pair_by_completing_each_other(particle_pair, share):
     field = evaluate_pair(particle_pair(mix, seed=1)[0], particle_pair(mix, seed=2)[1], scattered(share))

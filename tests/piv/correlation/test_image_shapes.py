@@ -63,6 +63,7 @@ def inner_errors(frames, flow):
     return field, off[3:-3, 3:-3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("across_px", "along_px", "degrees"), [(0.7, 1.8, 45), slow(0.9, 1.8, -45), slow(0.7, 1.8, 67), (0.8, 2.6, 30)]
 )

@@ -56,6 +56,7 @@ def test_windows_of_its_own_keep_the_core_of_a_single_pair(particle_pair, jet):
     assert np.mean(np.abs(off[core & valid]) > 4.0 * sigma[core & valid]) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jet", UNRESOLVED)
 def test_a_core_of_half_a_window_has_no_vector_or_one_that_is_unsure(particle_pair, jet):
     """Of all windows that move few keep a vector that is off by a pixel, or by far more than its sigma."""

@@ -51,6 +51,7 @@ def test_rms_error_up_to_the_frame_edge(particle_pair, truth):
     assert np.abs(error.mean(0)).max() <= 0.005
 
 
+@pytest.mark.slow
 def test_further_passes_hardly_amplify_noise(particle_pair):
     """A tenth from one refinement to five: what resolves shorter waves feeds some noise back."""
     truth = rotation(0.02, 200)

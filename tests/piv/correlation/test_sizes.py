@@ -101,6 +101,7 @@ def test_one_small_vortex_in_a_large_quiet_frame_still_finds_its_windows(particl
     assert (field.side_px[near] == 16).mean() > 0.7
 
 
+@pytest.mark.slow
 def test_under_noise_a_bent_flow_is_no_worse_than_by_usual_windows(particle_pair):
     """Windows of 48 and 64 px, which noise asked for, had three times as many wrong vectors."""
     truth = flows.turbulence(14, 2.0, 200, 30)
@@ -197,6 +198,7 @@ def test_particle_images_are_as_wide_as_frames_are_sampled(particle_pair, diamet
     assert pair.spread_as_sampled_px2 == pytest.approx(0.75 / np.log(one / two), rel=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overlap", [0.5, slow(0.75)])
 def test_in_dim_turbulence_without_an_end_sigma_is_not_half_of_the_error(particle_pair, overlap):
     """Sharp particle images are blurred when frames are sampled; halving explains more of a displacement there."""

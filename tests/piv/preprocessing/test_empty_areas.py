@@ -50,6 +50,7 @@ def judged(field, flow):
     return np.hypot(field.u_px - u, field.v_px - v), sigma
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_but(FLOWS, "shear"))
 def test_vectors_at_the_edge_of_a_round_window_are_right(name):
     """Each of these frames had wrong and silent vectors at the edge, and a ring of vectors beyond it."""

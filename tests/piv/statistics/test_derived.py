@@ -102,6 +102,7 @@ def test_the_axis_of_a_jet_is_found(turned):
     assert jet_axis(field(np.nan, np.nan)) is None
 
 
+@pytest.mark.slow
 def test_steps_across_a_rim_come_out_of_a_curved_flow():
     rng = np.random.default_rng(5)
     r = np.hypot(GRID_X, GRID_Y)

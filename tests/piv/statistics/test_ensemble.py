@@ -137,6 +137,7 @@ def test_particle_images_of_any_size_add_no_stress(diameter):
     assert np.abs(np.nanmean(field.stress_px2, axis=(0, 1))).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_fifth_of_all_pixels_dead_moves_neither_mean_nor_stresses():
     rng = np.random.default_rng(8)
     off = rng.normal(0.0, 0.6, (24, 2))
@@ -258,6 +259,7 @@ def test_a_rim_with_few_particles_is_seen_better_than_by_vectors(per_px, count, 
     assert layer[1] > 0.95
 
 
+@pytest.mark.slow
 def test_a_wall_is_resolved_to_8_px():
     """u = 9 px (1 - exp(-y/18 px)) of a wall: the first window of 8 px touches it."""
     shape, wall = (128, 192), 24.0
@@ -299,6 +301,7 @@ def test_a_wall_is_resolved_to_8_px():
         assert np.nanmean(off < 2.0 * total) > 0.9, window_px
 
 
+@pytest.mark.slow
 def test_fields_of_pairs_lead_to_the_same_stresses_with_less_noise():
     rng = np.random.default_rng(4)
     off = rng.normal(size=(PAIRS, 2)) * 1.2
@@ -332,6 +335,7 @@ def test_fields_of_pairs_lead_to_the_same_stresses_with_less_noise():
     assert np.nanstd(two.stress_px2[..., 0]) < 0.6 * np.nanstd(one.stress_px2[..., 0])
 
 
+@pytest.mark.slow
 def test_fields_that_follow_the_noise_of_their_pairs_add_nothing_to_stresses():
     """Fields that take all of their pairs' noise: twice the variance of vectors was left in a steady flow."""
     shape, rng = (128, 128), np.random.default_rng(8)
@@ -436,6 +440,7 @@ def test_what_cannot_be_is_refused():
         sweep_with((96, 96), nothing, np.zeros((*grid.shape, 3)), grid, 0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length_px", "window_px"), [(40, 8), slow(40, 16), (80, 16), slow(64, 8)])
 def test_what_windows_of_an_ensemble_average_out_stands_in_its_sigma(length_px, window_px):
     """Random sigma alone was 1.3 to 9 times less than the error, in every pair the same."""

@@ -74,6 +74,7 @@ def test_without_the_slopes_hardly_a_rate_behind_glass_is_covered():
     assert np.mean(inside) < 0.25
 
 
+@pytest.mark.slow
 def test_what_flows_through_the_sheet_is_no_step_that_speaks_against_the_map():
     """A steady w of one size in each of many flows is seen as a jump at the rim, within its sigma."""
     rng, steps = np.random.default_rng(3), []

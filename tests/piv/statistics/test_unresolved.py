@@ -66,6 +66,7 @@ def test_vectors_without_a_resolution_do_not_count():
         few.merge_with(Unresolved.nothing(SHAPE, 2))
 
 
+@pytest.mark.slow
 def test_what_seeding_makes_of_pairs_is_not_said_of_their_mean():
     """Vortices that all pairs show alike: errors were 0.36 to 0.39 of sigma."""
     off, sigma = of_means(lambda seed: flows_of(seed)["vortices"], 451, 2.4, "clear")

@@ -96,6 +96,7 @@ def test_thin_seeding_at_a_rim_is_known_better_by_tracks():
     assert tracks < windows
 
 
+@pytest.mark.slow
 def test_a_vortex_behind_glass_is_known_far_better_by_tracks():
     """0.002 per px, r < 0.75 R: 0.10 px a track, 0.5 a window of 32 px."""
     tracks, windows, count = ring_of(0.002, (0, 1), "vortex", 0.0, 0.75)

@@ -50,6 +50,7 @@ def test_images_that_overlap_and_those_at_a_mask_are_given_up():
     assert len(find_particles(image, np.zeros_like(valid)).place_px) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", [mix, vortex(), wave(64)], ids=["mix", "vortex", "wave of 64 px"])
 def test_tracks_know_more_than_windows_where_seeding_is_thin(particle_pair, truth):
     """0.002 particles per px: two in a window of 32 px."""

@@ -121,6 +121,7 @@ def test_other_versions_are_refused_too(finished, monkeypatch, capsys):
     }
 
 
+@pytest.mark.slow
 def test_a_run_is_added_and_a_longer_one_is_said(tmp_path, monkeypatch, capsys):
     """Of a run with more pairs chunks are made again, as they share what stands still in all; the plan says so."""
     monkeypatch.setattr(campaign, "worker_processes", ThreadPoolExecutor)

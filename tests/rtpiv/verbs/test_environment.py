@@ -79,6 +79,7 @@ def pictures_of(folder):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_a_command_draws_the_same_pictures_as_a_script_that_keeps_its_settings(day, plain, tmp_path):
     assert command(day, str(tmp_path / "out"), UNUSUAL) == pictures_of(plain)

@@ -81,6 +81,7 @@ def test_the_removed_route_is_one_sentence(good, tmp_path, capsys):
     assert "the velocity route was removed" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
     scene, frames = good
     strangers = [

@@ -41,6 +41,7 @@ def given(pair, out, *options):
     return ["evaluate", *paths, "--scene", str(pair / "scene.yaml"), "-o", str(out), *options]
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_tracks_are_a_file_a_table_and_a_chapter(pair, tmp_path, capsys):
     assert main(given(pair, tmp_path, "--tracking", "--shift-mm", *map(str, SHIFT_MM))) == DONE

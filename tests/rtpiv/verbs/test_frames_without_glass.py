@@ -105,6 +105,7 @@ def words_of(page):
     return re.sub(BY_NAME, "", html.unescape(" ".join(text.split())))
 
 
+@pytest.mark.slow
 def test_pages_of_frames_without_glass_do_not_speak_of_it(day, tmp_path, capsys):
     frames = [str(day / f"im{n:04d}.tif") for n in (0, 1)]
     told = [*TOLD[:4], "--final-window", "16", "--workers", "1"]

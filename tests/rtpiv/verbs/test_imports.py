@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 import tifffile
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -45,6 +46,7 @@ def test_no_verb_imports_what_it_may_not_need():
     assert (DRAWN | TRACED | SOLVED | OTHERS) & loaded == set()
 
 
+@pytest.mark.slow
 def test_who_looks_at_scenes_or_frames_waits_neither_for_benches_nor_for_fits():
     """None of the four loads what all of them together have not loaded."""
     verbs = {f"rtpiv.verbs.{name}" for name in ("check", "trace", "correct", "evaluate")}

@@ -81,6 +81,7 @@ def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
     assert scene.wavelength_nm == lab.get("wavelength_nm", 532.0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_others")
 def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_side(tmp_path, capsys):
     said = ["--ball-mm", "40", "30", "--glass", "acrylic", "BK7", "--turn-deg", "12", "--support-mm", "4"]
@@ -245,6 +246,7 @@ def test_every_question_has_a_usual_answer():
     assert {question.key for question in QUESTIONS} == set(vars(Lab())) - only_options
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_others")
 def test_the_print_is_the_board_that_the_bench_hangs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -37,6 +37,7 @@ def attributes(folder) -> dict[str, str]:
         return {name: getattr(file, name).decode() for name in names}
 
 
+@pytest.mark.slow
 def test_a_ball_knocked_after_calibration_is_told_wherever_the_mean_is(run, monkeypatch, capsys):
     say(monkeypatch, 0.05)
     for asked in (run, run / "series"):  # evaluated, then averaged again without its frames

@@ -69,6 +69,7 @@ def errors_beside(day, out, name, mask):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_a_masked_wall_gives_no_bias_beside_it(day, tmp_path):
     free, wall, masked = (
         errors_beside(day, tmp_path, name, mask)

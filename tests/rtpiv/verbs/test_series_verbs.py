@@ -94,6 +94,7 @@ def test_what_cannot_be_meant_is_one_sentence(run, tmp_path, capsys, words, said
         assert len(error.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
     """Errors against a known shift, tracks and VTK, of a series as of two frames; its vectors stay the same."""
     words = [str(run), *WINDOWS, "--workers", "1", "--no-pictures"]

@@ -34,6 +34,7 @@ def lab(tmp_path_factory):
     return folder, paths
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_the_scene_that_is_written_has_the_sheet(lab, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(self_calibration, "MOST_PLACES", 4000)

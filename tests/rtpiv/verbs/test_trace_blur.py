@@ -12,6 +12,7 @@ bodies:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_the_blur_is_said_and_drawn(tmp_path, capsys):
     scene = tmp_path / "scene.yaml"

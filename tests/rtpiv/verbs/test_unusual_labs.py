@@ -194,6 +194,7 @@ def lab(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("untraced")
 def test_slips_of_every_number_of_a_scene_are_seen(tmp_path):
     """Of all numbers and four factors; silent may be only what some lab is."""

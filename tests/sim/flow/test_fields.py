@@ -83,6 +83,7 @@ def test_stresses_of_a_jet_carry_momentum_outwards_and_vanish_on_the_axis():
     assert on[0, 0] == pytest.approx(on[2, 2])
 
 
+@pytest.mark.slow
 def test_a_fluctuation_of_a_jet_crosses_its_axis_without_a_step():
     flow = Flow(Jet(), RandomModes(8.0))
     around = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)

@@ -79,6 +79,7 @@ def test_brightness_and_height_are_those_of_the_traced_light():
     assert np.quantile(high, 0.95) < 0.05
 
 
+@pytest.mark.slow
 def test_frames_are_dark_where_the_light_does_not_come():
     scene = replace(LIT, sheet=PlaneOfLight(22.0, thickness_mm=1.0, sources=(LEFT,)))
     camera = FlowCamera(

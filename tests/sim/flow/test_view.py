@@ -151,6 +151,7 @@ def test_many_points_of_the_pupil_converge_to_discs_rendered_through_a_lens():
         assert found[7, x][2] == pytest.approx(found[37, x][2], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "z_mm"), [("two_spheres_500", 0.4), ("three_spheres_500", -0.4)])
 def test_rays_close_to_the_rims_find_their_way_back(name, z_mm):
     """Where glass squeezes most a ray's own pixel is found again, once, as far as half a pixel from any rim.

@@ -297,6 +297,7 @@ def test_compressed_view_converges():
     assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.004
 
 
+@pytest.mark.slow
 def test_defocus_widens_a_particle_as_a_thin_lens_does():
     """Second moments of the image add up: particle, blur disc (radius^2 / 4 an axis), pixel (1/12)."""
     scene = at_size(demo_scene("two_spheres_500"), 401).with_bodies(())

@@ -45,6 +45,7 @@ def compare(scene: Scene, ways: Rays, least_light: float, skips: bool) -> tuple[
     return judged, other, skipped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("draw", "aim", "rays", "least_light", "bounds", "seed"),
     [
@@ -70,6 +71,7 @@ def test_rays_are_those_of_the_tracer(
     assert skipped < 50
 
 
+@pytest.mark.slow
 def test_a_plate_that_lies_on_the_board_is_seen_through() -> None:
     plate = Box("plate", rectangle(40.0, 30.0), 3.0, test_blocks.GLASS, (0.0, 0.0, 1.5))
     scene = Scene(camera_at((100.0, 30.0, 300.0), (0.0, 0.0, 0.0), 500.0, (64, 48)), (plate,))

@@ -125,6 +125,7 @@ def put(judge, places_mm):
         judge.put(name, at_mm)
 
 
+@pytest.mark.slow
 def test_one_axis_at_a_time_it_agrees_with_the_guard():
     judge, other, rng = clearances(), guard(), random.Random(7)
     refused = 0

@@ -256,6 +256,7 @@ def test_what_is_no_campaign_is_one_sentence(tmp_path):
         campaign_status(CampaignFolder(tmp_path))
 
 
+@pytest.mark.slow
 def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
     """Ten pairs of one flow and six of one that is faster by 0.3 px."""
     one, two = two_runs(tmp_path / "same", (6, 6))

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from rtpiv.analysis.pictures.plane_axes import colour_bar, plane_panels
@@ -17,6 +18,7 @@ CASES = [  # every shape with every label, and with every range
 ]
 
 
+@pytest.mark.slow
 @loop_over("ratio, label, highest", CASES)
 def test_no_label_is_cut_off_and_no_number_touches_another(ratio, label, highest):
     figure, (axes,) = plane_panels(ratio)

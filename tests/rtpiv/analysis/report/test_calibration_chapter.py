@@ -32,6 +32,7 @@ def page_of(path, scene, out) -> str:
     return (out / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_wrong_model_stands_in_the_page_as_a_warning_with_its_picture(fit, tmp_path):
     save_fit(tmp_path / "fit.npz", fit)
     found = load_verdict(tmp_path / "fit.npz")
@@ -45,6 +46,7 @@ def test_a_wrong_model_stands_in_the_page_as_a_warning_with_its_picture(fit, tmp
     assert "data:image/png" in text
 
 
+@pytest.mark.slow
 def test_the_chapter_of_another_scene_or_of_none_is_left_out(fit, tmp_path):
     save_fit(tmp_path / "fit.npz", fit)
     assert "Calibration" not in page_of(tmp_path / "fit.npz", fit.unknowns.scene, tmp_path)

@@ -90,6 +90,7 @@ def rim_row(text):
     return [float(cell) for cell in row.groups()]
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_a_step_at_the_rim_is_found_and_none_is_made_up(tmp_path):
     text, _, _ = page_of(tmp_path)

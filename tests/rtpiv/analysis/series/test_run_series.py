@@ -247,6 +247,7 @@ def flipped(path, at):
     path.write_bytes(content)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "harm", ["no marker", "no file", "one bit", "cut short", "marker", "marker of another", "part"]
 )
@@ -376,6 +377,7 @@ def test_two_at_once_do_not_write_into_one_folder(made, folder, run):
 STEPS = [("minimum",), ("mean", "cap"), ("pod", "min-max"), ("unseeded",), ()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", slow_but(STEPS, *STEPS[2:4]))
 def test_every_preparation_measures_the_flow(tmp_path, steps):
     run = flow_run(tmp_path, 13, unseeded=3)

@@ -39,6 +39,7 @@ def vectors(folder):
         return {name: np.array(file.variables[name][:]).tobytes() for name in ("u", "v", "sigma_u", "flag")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["B%05d_a.tif", "stack.tif"])
 def test_the_vectors_are_those_of_a_run_with_the_same_frames(recorded, tmp_path, name):
     scene, out = ("--scene", str(recorded / "scene.yaml")), ("-o", str(tmp_path / "out"))
@@ -48,6 +49,7 @@ def test_the_vectors_are_those_of_a_run_with_the_same_frames(recorded, tmp_path,
     assert mean_of_series(SeriesView(tmp_path / "out")).used == PAIRS
 
 
+@pytest.mark.slow
 def test_a_folder_is_evaluated_and_a_pattern_averaged(recorded, tmp_path, monkeypatch, capsys):
     """Mean of the folder, of its pattern and of the run that recorded these frames; by ensembles too."""
     monkeypatch.chdir(tmp_path)

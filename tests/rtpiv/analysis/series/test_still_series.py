@@ -31,6 +31,7 @@ def kept(out):
     return load_still(SharedFile(out / "still.npz", header["key"]))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_mean_page")
 def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
     out = tmp_path / "out"

@@ -70,6 +70,7 @@ def fork_and_spawn() -> None:
     print(json.dumps(states))
 
 
+@pytest.mark.slow
 def test_a_process_of_one_thread_is_forked_and_any_other_spawns():
     code = "from tests.rtpiv.analysis.series.test_workers import fork_and_spawn as f; f()"
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
