@@ -153,7 +153,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         sums = [total + part for total, part in zip(sums, now, strict=True)] if sums else now
         counts += float(scales[0] * scales[1]) ** -0.25
         if plateaus is not None:
-            picks = np.minimum, np.maximum, np.maximum, _same, np.maximum
+            picks: tuple[Callable[..., Any], ...] = np.minimum, np.maximum, np.maximum, _same, np.maximum
             flat = tuple(pick(*parts) for pick, *parts in zip(picks, plateaus, flat, strict=True))
         plateaus = flat
         for frame in numbers:
@@ -198,7 +198,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     still = found[:, columns][rows]
     parts: list[Callable[[], NDArray[np.bool_]]] = [
         partial(_find_ruled_lines, darkest, valid),
-        partial(_find_overlays, *plateaus[3:], valid),
+        partial(_find_overlays, plateaus[3], plateaus[4], valid),
     ]
     if quick or still.any():  # in a slow flow clumps stand still as well, but no letters are found beside them
         ground = float(np.median(cells.floor[moves])) * counts / count

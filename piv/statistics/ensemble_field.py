@@ -58,7 +58,8 @@ class EnsembleField:
     stress_px2 : ndarray of float64, shape (ny, nx, 3)
         Reynolds stresses R_uu, R_vv, R_uv; free of the noise of correlation.
     sigma_px, stress_sigma_px2 : ndarray of float64, shapes (ny, nx, 2), (ny, nx, 3)
-        Random standard uncertainties of both, for independent pairs.
+        Random standard uncertainties of both, for independent pairs; of stresses with what windows average out of
+        the mean.
     resolution_px : ndarray of float64, shape (ny, nx)
         Standard uncertainty of a component of the mean by what windows do not resolve; no number of pairs makes it
         less.
@@ -143,6 +144,10 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     )
     valid &= ~outliers(np.where(valid[..., None], mean, 0.0), valid, THRESHOLD, EPSILON_PX)
 
+    averaged, cut = _resolution(mean, valid, grid, _visible(sums, fluid))
+    # What a window averages out of the mean is the scatter of its particles about that.
+    stress_sigma = np.hypot(_stress_sigma(covariance, spread[..., 3:6, 3:6]), np.square(averaged)[..., None])
+
     def where_valid(values: Floats) -> Floats:
         return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.nan)
 
@@ -151,8 +156,8 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         where_valid(mean),
         where_valid(covariance - own_covariance + _of_fields(sums, window_px, back, covariance, fluid)),
         where_valid(sigma),
-        where_valid(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
-        where_valid(_resolution(mean, valid, grid, _visible(sums, fluid))),
+        where_valid(stress_sigma),
+        where_valid(np.hypot(averaged, cut)),
         where_valid(volume),
         valid,
         sums.pairs,
@@ -167,20 +172,19 @@ def _visible(sums: EnsembleSums, fluid: NDArray[np.bool_]) -> Singles:
     return seen if fluid_px is None else np.where(fluid_px, seen, np.float32(0.0))
 
 
-def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid, seen: Singles) -> Floats:
-    """Standard deviation (ny, nx) of a component of the mean by what windows do not resolve.
+def _resolution(mean: Floats, valid: NDArray[np.bool_], grid: WindowGrid, seen: Singles) -> tuple[Floats, Floats]:
+    """Standard deviations (ny, nx) of a component of the mean by what windows average out, and by a mask.
 
     A window of side w without weights shows the mean field less w^2/24 of its second derivative along each axis;
     beside a wall its light lies beside its middle (`piv.correlation.cut_windows`).
     """
     if not valid.any():
-        return np.zeros(grid.shape)
+        return np.zeros(grid.shape), np.zeros(grid.shape)
     apart = max(1, round(0.5 * grid.size_px / grid.step_px))
     whole = fill_gaps(np.where(valid[..., None], mean, 0.0), valid)[0]
     bent = second_differences(whole, apart)
     share = MISSED * grid.size_px**2 / (24.0 * (apart * grid.step_px) ** 2)
-    cut = cut_px(whole, seen, grid, grid.size_px, 0.0)
-    return np.asarray(np.hypot(share * scipy.ndimage.maximum_filter(bent, 3), cut))
+    return share * scipy.ndimage.maximum_filter(bent, 3), cut_px(whole, seen, grid, grid.size_px, 0.0)
 
 
 def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:
