@@ -8,8 +8,9 @@ another way through the balls, and an oblique view shows it elsewhere.  The ligh
     sqrt(seen) = gain(u, v) sqrt(traced(z)),       gain of second order, least squares over all pixels,
 
 with square roots because the number of particles in a pixel varies as their mean (Bartlett 1936).  Where glass
-magnifies, a particle covers many pixels: each counts by its area on the plane against that of a pixel without glass, and not at
-all below LEAST_AREA, where few particles or none stand in a pixel and the root of their mean is not the mean of roots.
+magnifies, a particle covers many pixels: each counts by its area on the plane, relative to a pixel without glass,
+and not at all below LEAST_AREA, where few particles or none stand in it and the mean of roots is far below the
+root of the mean.
 
 All heights are allowed whose sum of squares exceeds the least one by at most MODEL_SHARE of the light: by so much
 traced light differs from that of the simulator's own optics at the true height.  Only pixels count that some of
@@ -136,7 +137,7 @@ def height_by_brightness(scene: Scene, mean: NDArray[np.float64]) -> BrightnessH
     low, high = height_range(heights, sums.sum(axis=1), margin)
     rest = sums.sum(axis=1)[:, None] - sums  # without each block
     middles = [sum(height_range(heights, one, margin)) / 2.0 for one in rest.T]
-    scatter = (len(middles) - 1) * float(np.nanvar(middles))  # jackknife
+    scatter = (len(middles) - 1) * float(np.nanvar(middles)) if np.isfinite(low) else low  # jackknife
     sigma = float(np.sqrt(scatter + (high - low) ** 2 / 12.0))
     return BrightnessHeight(0.5 * (low + high), sigma, (low, high), sheet)
 
@@ -149,9 +150,10 @@ def _bin_pixels(frame: NDArray[np.float64], times: int) -> NDArray[np.float64]:
 
 
 def _brightness(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return traced light (H, W) of pixels, and their areas (H, W) on the plane against a pixel without glass, at most 1.
+    """Return traced light (H, W) of pixels, and their areas (H, W) on the plane.
 
-    The light is 0 in glass, NaN where a ray is lost or leaves the map of the light.
+    The light is 0 in glass, NaN where a ray is lost or leaves the map of the light.  Areas are relative to a pixel
+    without glass, at most 1.
     """
     rays = build_ray_map(scene)
     lit = light_of(scene, grid_of(scene.camera))

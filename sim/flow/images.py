@@ -33,9 +33,7 @@ from tracer.scene.scene import Scene
 Frame = NDArray[np.uint16]
 
 SLAB = 0.25  # thicknesses of the sheet: depth that shares a plane where balls cross the sheet
-BRIGHT_DEPTH = (
-    0.5  # thicknesses to either side of the middle that are cut into slabs; the outer ones hold the rest
-)
+BRIGHT_DEPTH = 0.5  # thicknesses to either side of the middle in slabs; the outer ones hold the rest
 FLOW_SENSOR = Sensor(white_counts=1.0, read_noise_counts=2.0, offset_counts=35.0, blur_px=0.0)
 
 
@@ -232,24 +230,23 @@ class FlowCamera:
         reach = (light_reach_mm(self.sheet) if self._sources else self.sheet.reach_mm) + tilt
         middle = self.sheet.offset_mm
         low, high = middle - reach, middle + reach
-        if not self._spheres_in_sheet:
-            return (self._rays_between(min(low, -0.01), max(high, 0.01), 0.0),)
-        step = SLAB * self.sheet.thickness_mm
-        count = int(np.ceil((BRIGHT_DEPTH * self.sheet.thickness_mm + tilt) / step))
-        planes = middle + step * np.arange(-count, count + 1)
-        edges = [low, *(planes[1:] - 0.5 * step).tolist(), high]
-        slabs = zip(edges[:-1], edges[1:], planes.tolist(), strict=True)
-        return tuple(self._rays_between(*slab) for slab in slabs)
-
-    def _rays_between(self, low_mm: float, high_mm: float, plane_mm: float) -> ParticleView:
-        return ParticleView(
-            self.scene,
-            (low_mm, high_mm),
-            plane_mm=plane_mm,
-            aperture=self.aperture,
-            points_of_pupil=self.points_of_pupil,
-            spot_px=self.spot_px,
-            step_px=self.step_px,
+        planes, edges = np.zeros(1), [min(low, -0.01), max(high, 0.01)]
+        if self._spheres_in_sheet:
+            step = SLAB * self.sheet.thickness_mm
+            count = int(np.ceil((BRIGHT_DEPTH * self.sheet.thickness_mm + tilt) / step))
+            planes = middle + step * np.arange(-count, count + 1)
+            edges = [low, *(planes[1:] - 0.5 * step).tolist(), high]
+        return tuple(
+            ParticleView(
+                self.scene,
+                (edges[number], edges[number + 1]),
+                plane_mm=plane,
+                aperture=self.aperture,
+                points_of_pupil=self.points_of_pupil,
+                spot_px=self.spot_px,
+                step_px=self.step_px,
+            )
+            for number, plane in enumerate(planes.tolist())
         )
 
     @cached_property

@@ -12,6 +12,7 @@ from daq.bench.scene_plausibility import scene_questions
 from ground.errors import ConfigError
 from ground.terminal import console
 from rtpiv.analysis.gaps import gap_share
+from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.show import show_through
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
@@ -158,6 +159,8 @@ def test_light_that_cannot_be(tmp_path):
     path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0, {FROM_LEFT}}}\n")
     with pytest.raises(SceneError, match="lies inside body 'whole'"):
         trace(path, pictures=False)
+    with pytest.raises(SceneError, match="lies inside body 'whole'"):
+        calibrate(tmp_path, scene=path)  # before it looks for frames
     path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0}}\n")
     asked_now = scene_questions(path)
     assert sum("lies inside body 'whole'" in question for question in asked_now) == 1

@@ -13,7 +13,7 @@ from piv.correlation.pair import evaluate_pair
 from sim.flow.between_balls import BetweenBalls
 from sim.flow.fields import Flow, Uniform
 from sim.flow.images import FlowCamera
-from sim.flow.particles import LightSheet, Seeding, advect
+from sim.flow.particles import LightSheet, ParticlePair, Seeding, advect
 from sim.flow.table import FlowTable
 from sim.flow.view import ParticleView
 from sim.renderer.kernels.rays import camera_ray, to_plane
@@ -74,6 +74,17 @@ def test_points_between_the_balls_are_looked_up_where_they_are_drawn():
         compared += found.branch[0, row, column] != 0
     assert worst < 0.01
     assert compared >= 3  # through glass
+
+
+def test_a_particle_above_the_glass_that_its_ray_enters_is_seen():
+    """Over a cap of 5.5 mm in the plane of the sheet, as bright as without the ball."""
+    point = np.array([[5.0, 0.0, 22.5]])
+    over = ParticlePair((point, point), (np.ones(1), np.ones(1)))
+    counts = []
+    for balls in ((), (ball("cap", 0.0, 0.0, 10.0, 13.2),)):
+        camera = FlowCamera(Scene(CAMERA, balls), Flow(Uniform()), LightSheet(offset_mm=22.0), reflections=None)
+        counts.append(float(camera._particle_light(over, 0).sum()))
+    assert counts[1] == pytest.approx(counts[0], rel=0.01)
 
 
 def test_a_flow_between_balls_is_measured_and_glass_is_masked():

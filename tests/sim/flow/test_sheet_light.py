@@ -55,6 +55,7 @@ def test_an_opaque_ball_leaves_a_shadow_of_its_width():
     light = found.light(np.column_stack((np.full(400, 10.0), y, np.full(400, 3.0))), 0)
     assert light[np.abs(y - 2.0) < 4.7].max() < 1e-9
     assert light[np.abs(y - 2.0) > 5.2].min() > 0.9
+    assert found.light(np.array([(-13.03, 2.0, 3.0)]), 0) == pytest.approx(1.0, abs=0.1)  # before its glass
 
 
 def test_brightness_and_height_are_those_of_the_traced_light():
