@@ -269,7 +269,7 @@ def number_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
     Numbers in steps of 10 count by tens; times count by the usual time between them.  Where the frames of a pair
     stand much closer together than pairs follow each other, those of pair n are 2 n - 1 and 2 n.
     """
-    frames = _unwrapped(frames)
+    frames = _unwrap_counter(frames)
     values = sorted(frames)
     low, gaps = values[0], [b - a for a, b in pairwise(values)]
     if not gaps:
@@ -292,8 +292,8 @@ def number_from_1(frames: Mapping[Fraction, str]) -> dict[int, str]:
     return {number: frames[value] for number, value in zip(numbers, values, strict=True)}
 
 
-def _unwrapped(frames: Mapping[Fraction, str]) -> Mapping[Fraction, str]:
-    """Frames in the order of a counter that began anew behind its largest number: 998, 999, 000, 001."""
+def _unwrap_counter(frames: Mapping[Fraction, str]) -> Mapping[Fraction, str]:
+    """Order the frames of a counter that began anew behind its largest number: 998, 999, 000, 001."""
     values = sorted(frames)
     low, high = values[0], values[-1]
     gaps = sorted((b - a, b) for a, b in pairwise(values))

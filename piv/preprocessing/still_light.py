@@ -23,8 +23,7 @@ moves, nothing is said, for it may be a flow at rest.
 **Writing and bars** are thinner. They are lines of cells (`LINE`) that stand still and are far brighter than a
 flow; and plateaus, areas of 3 x 3 px whose darkest pixel is `PLATEAU` times brighter than those of moving
 particles in most areas of the frame, in either frame: digits of a clock change between both. And rows or columns
-that are bright over `LINE_PX` in all frames, as those of a graticule or of a sensor. However slow the flow is,
-what a program wrote into the files has the very same numbers in all frames, which light with its noise has not.
+that are bright over `LINE_PX` in all frames, as those of a graticule or of a sensor. Thinner writing: `overlays`.
 
 The frames may be those of one pair, or A of one and B of another, which no slow flow makes alike: then r and E are
 means over all that are compared. A series finds its still light so, from frames whose background is not taken
@@ -33,13 +32,13 @@ off: what is left of a wall then flickers as the pulses do, and stands still no 
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import map_parts
+from piv.preprocessing.overlays import HALO_PX, LETTER_PX, LETTER_PX2, areas_of, find_overlays, same_numbers
 
 STILL_CELL_PX = 4
 STILL_LEVEL_PX = 11  # side of the surroundings: larger than particle images, so that edges do not reach far
@@ -55,14 +54,10 @@ RAISED, SUNK = 0.25, 0.1  # change of the floor in sqrt(E_0), beyond nearly all 
 EXTREME, BEYOND = 0.1, 0.5  # share of those that are more extreme; and of their range
 HARDLY = 0.02  # of E_0: structure of a plain cell
 SHAKEN = 0.5  # r of a plain cell before a raised floor, if the camera shakes
-PLATEAU, PLATEAU_QUANTILE = 1.3, 0.999  # over the plateaus of particles, and how many of these are darker
-AREAS, USUAL_AREA = 8, 0.8  # along each axis; share of areas that writing does not reach
-LETTER_PX2 = 5  # side of a square, and pixels of a plateau that it must hold
-LETTER_PX, HALO_PX = 15, 7  # side of gaps between letters, and of what an edge reaches
+# Over the plateaus of particles; how many of these are darker; share of areas that writing does not reach
+PLATEAU, PLATEAU_QUANTILE, USUAL_AREA = 1.3, 0.999, 0.8
 FLAT = 0.01  # of a pixel: by which plateaus differ that are resampled
 EQUAL = 0.1  # of a plateau's height: difference between both frames
-OVERLAY_QUANTILE, MOST_SAME = 0.9, 0.3  # of the pixels, which are darker; share of bright pixels that are alike
-OVERLAY_PX2, OVERLAY_PX, UNWRITTEN = 20, 24, 0.7  # of what is written: pixels, length of its line; areas without
 LEAST_KNOWN, HALF = 0.15, 0.5  # share of a line of writing that does not change
 RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
@@ -153,7 +148,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         sums = [total + part for total, part in zip(sums, now, strict=True)] if sums else now
         counts += float(scales[0] * scales[1]) ** -0.25
         if plateaus is not None:
-            picks: tuple[Callable[..., Any], ...] = np.minimum, np.maximum, np.maximum, _same, np.maximum
+            picks: tuple[Callable[..., Any], ...] = np.minimum, np.maximum, np.maximum, same_numbers, np.maximum
             flat = tuple(pick(*parts) for pick, *parts in zip(picks, plateaus, flat, strict=True))
         plateaus = flat
         for frame in numbers:
@@ -198,7 +193,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     still = found[:, columns][rows]
     parts: list[Callable[[], NDArray[np.bool_]]] = [
         partial(_find_ruled_lines, darkest, valid),
-        partial(_find_overlays, plateaus[3], plateaus[4], valid),
+        partial(find_overlays, plateaus[3], plateaus[4], valid),
     ]
     if quick or still.any():  # in a slow flow clumps stand still as well, but no letters are found beside them
         ground = float(np.median(cells.floor[moves])) * counts / count
@@ -242,8 +237,7 @@ def with_clean_rim(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.boo
 def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) up to `LEAK_PX` off a mask that show, in either frame, the light of the body it hides.
 
-    So it is where the body moves, the camera shakes, or the mask is too small; a body may be darker than the flow.
-    `usable` says where frames are numbers.
+    So it is where it moves, the camera shakes or the mask is too small; it may be dark. `usable`: of numbers.
     """
     import cv2
 
@@ -381,47 +375,6 @@ def _find_writing(
     return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
 
 
-def _find_overlays(same: NDArray[Any], brightest: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) of bright writing and bars that a program put into the files of frames; see `_same`.
-
-    Nothing is said where bright pixels are alike all over the frame, as those of saturated particles at rest are.
-    """
-    import cv2
-
-    letters, gaps = (np.ones((side, side), np.uint8) for side in (LETTER_PX2, LETTER_PX))
-
-    def strokes(which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        around = cv2.boxFilter(which.view(np.uint8), -1, letters.shape, normalize=False)
-        return np.asarray(which & (around >= LETTER_PX2))
-
-    def lines(which: NDArray[np.bool_]) -> tuple[int, NDArray[np.int32], NDArray[np.int32]]:
-        closed = cv2.morphologyEx(which.view(np.uint8), cv2.MORPH_CLOSE, gaps)
-        number, parts, sizes, _ = cv2.connectedComponentsWithStats(closed)
-        return number, np.asarray(parts), np.asarray(sizes)
-
-    lit = (brightest > np.quantile(brightest[::3, ::3], OVERLAY_QUANTILE)) & valid
-    core = strokes(lit & (same == brightest))
-    if not core.any():
-        return core
-    shares = [(same == brightest)[area][lit[area]].mean() for area in _areas(lit.shape) if lit[area].any()]
-    if np.quantile(shares, UNWRITTEN) > MOST_SAME:
-        return np.zeros_like(core)
-    number, parts, sizes = lines(core)
-    known_px = np.bincount(parts[core], minlength=number)
-    kept = (known_px >= OVERLAY_PX2) & (sizes[:, 2:4].max(axis=1) >= OVERLAY_PX)
-    kept[0] = False
-    core &= kept[parts]
-    if not core.any():
-        return core
-    # Digits that change between frames are as bright as the others.
-    values, times = np.unique(brightest[core], return_counts=True)
-    number, parts, _ = lines(core | (strokes(brightest == values[times.argmax()]) & valid))
-    kept = np.bincount(parts[core], minlength=number) > 0
-    kept[0] = False
-    bright = core | ((brightest == values[times.argmax()]) & valid)
-    return np.asarray(cv2.dilate((bright & kept[parts]).view(np.uint8), np.ones((HALO_PX, HALO_PX), np.uint8)) > 0)
-
-
 def _find_ruled_lines(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) in and beside bright lines along rows or columns, such as those of a graticule or a sensor.
 
@@ -445,18 +398,9 @@ def _find_ruled_lines(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.b
     return found if found.mean() <= HALF else np.zeros(valid.shape, bool)
 
 
-def _areas(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """Parts of a frame, `AREAS` along each axis."""
-    edges = [np.linspace(0, side, AREAS + 1).astype(int) for side in shape]
-    return [
-        np.s_[top:bottom, left:right] for top, bottom in pairwise(edges[0]) for left, right in pairwise(edges[1])
-    ]
-
-
 def _brightest_of_areas(plateaus: NDArray[Any], moves: NDArray[np.bool_]) -> Floats:
     """Quantiles of the plateaus (h, w) of areas in which most moves; of all that moves where there is none."""
-    areas = _areas(moves.shape)
-    most = [area for area in areas if moves[area].sum() > HALF * moves[area].size] or [np.s_[:, :]]
+    most = [area for area in areas_of(moves.shape) if moves[area].sum() > HALF * moves[area].size] or [np.s_[:, :]]
     return np.array([np.quantile(plateaus[area][moves[area]], PLATEAU_QUANTILE) for area in most], np.float32)
 
 
@@ -524,10 +468,7 @@ def _floor(a: Floats, b: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """The darkest of 3 x 3 px around each: in both frames, in the brighter one, and there where it is not flat.
-
-    And each pixel where both are the same, and the brighter one.
-    """
+    """The darkest of 3 x 3 px: in both frames, the brighter, there where not flat; same numbers; brighter px."""
     import cv2
 
     size = np.ones((3, 3), np.uint8)
@@ -538,12 +479,7 @@ def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     top = np.maximum(a, b)
     brightest = np.asarray(cv2.dilate(top, size))[every]
     step = np.asarray(FLAT * brightest, brightest.dtype)
-    return both, either, np.where(brightest - either[every] > step, either[every], 0), _same(a, b), top
-
-
-def _same(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
-    """Pixels that are the same in two frames, number by number, and the lowest number of a frame elsewhere."""
-    return np.where(one == other, one, min(one.min(), other.min()))
+    return both, either, np.where(brightest - either[every] > step, either[every], 0), same_numbers(a, b), top
 
 
 def _products(one: Floats, other: Floats) -> Floats:
