@@ -36,7 +36,8 @@ from pydantic import Field
 
 from daq.bench.bench_table import Bench
 from daq.bench.fault_table import Fault
-from ground.config import Document, Name, Table, exactly, validate
+from ground.config import Document, Name, Table, validate
+from ground.plain_words import exactly
 from sim.camera.config import FaultPlan
 from sim.flow.table import FlowTable
 from sim.frame_truth import WIDTH_PX, height_px

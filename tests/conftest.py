@@ -45,16 +45,16 @@ def pytest_xdist_auto_num_workers() -> int:
 # The files that take longest begin: they are handed out in order (--no-loadscope-reorder), and the last are short.
 # Those that compile what another file asks for as well begin long before it: two processes would compile it twice.
 LONG = (
-    "test_correction_map.py", "tracer/test_walls.py", "test_bed_sheets.py", "test_external_light.py",
-    "fit/test_plates.py", "cameras/test_contract.py", "live/test_page.py", "test_culprits.py",
-    "fit/test_rendered.py", "test_ended_programs.py", "test_find_sheet.py", "test_laser_ends.py",
-    "test_laser_trials.py", "test_environment.py", "test_names_of_files.py", "test_board_search.py",
-    "test_report.py", "test_any_byte.py", "test_stop_signals.py", "test_run_series.py",
-    "test_person_stops.py", "test_harvesters.py", "test_photographs.py", "test_foreign_libraries.py",
-    "test_flows.py", "test_init.py", "test_port.py", "test_shells.py", "test_two_level_plate.py",
-    "test_laser_verb.py", "stages/test_foreign.py", "test_camera_lies.py", "test_names_and_limits.py",
-    "test_stages.py", "test_causes.py", "test_watchdog.py", "test_series_verbs.py", "test_hard_scenes.py",
-    "test_what_the_system_refuses.py", "test_refusals.py", "verbs/test_imports.py", "test_pair_shapes.py",
+    "tracer/test_walls.py", "test_behind_window.py", "test_hard_scenes.py", "test_find_sheet.py",
+    "test_report.py", "test_light_height.py", "test_ensemble.py", "test_blocks.py", "test_init.py",
+    "cameras/test_contract.py", "test_board_search.py", "test_laser_trials.py", "test_restarts.py",
+    "test_runner.py", "test_balls.py", "test_run_series.py", "test_what_the_system_refuses.py", "test_rays.py",
+    "test_harvesters.py", "test_correction_map.py", "test_streams.py", "test_flows.py",
+    "test_person_at_the_box.py", "test_model_verdict.py", "live/test_page.py", "test_stops.py",
+    "test_calibrate.py", "test_stop_signals.py", "test_lens_fit.py", "test_makers_plates.py",
+    "test_laser_prove.py", "test_shells.py", "test_without_a_scale.py", "test_names_of_files.py",
+    "test_reference.py", "stages/test_contract.py", "test_series_verbs.py", "test_ended_programs.py",
+    "test_budget.py", "test_view_agreement.py",
 )  # fmt: skip
 
 

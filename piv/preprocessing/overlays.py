@@ -14,6 +14,7 @@ LETTER_PX2 = 5  # side of a square, and pixels of a stroke or plateau that it mu
 LETTER_PX, HALO_PX = 15, 7  # side of gaps between letters, and of what an edge reaches
 OVERLAY_QUANTILE, MOST_SAME = 0.9, 0.3  # of the pixels, which are darker; share of bright pixels that are alike
 OVERLAY_PX2, OVERLAY_PX, UNWRITTEN = 20, 24, 0.7  # of what is written: pixels, length of its line; areas without
+WRITTEN = 0.75  # of what is as bright as writing in either frame: share in both
 
 
 def find_overlays(same: NDArray[Any], brightest: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -48,13 +49,18 @@ def find_overlays(same: NDArray[Any], brightest: NDArray[Any], valid: NDArray[np
     core &= kept[parts]
     if not core.any():
         return core
-    # Digits that change between frames are as bright as the others.
+    # Digits that change between frames are as bright as the others. Light that saturates now and then, as that of
+    # particles before bright lines, seldom does so in both frames.
     values, times = np.unique(brightest[core], return_counts=True)
-    number, parts, _ = lines(core | (strokes(brightest == values[times.argmax()]) & valid))
-    kept = np.bincount(parts[core], minlength=number) > 0
+    usual = (brightest == values[times.argmax()]) & valid
+    number, parts, _ = lines(core | strokes(usual))
+    known_px, same_px, usual_px = (
+        np.bincount(parts[which], minlength=number) for which in (core, usual & (same == brightest), usual)
+    )
+    kept = (known_px > 0) & (same_px >= WRITTEN * usual_px)
     kept[0] = False
-    bright = core | ((brightest == values[times.argmax()]) & valid)
-    return np.asarray(cv2.dilate((bright & kept[parts]).view(np.uint8), np.ones((HALO_PX, HALO_PX), np.uint8)) > 0)
+    bright = (core | usual) & kept[parts]
+    return np.asarray(cv2.dilate(bright.view(np.uint8), np.ones((HALO_PX, HALO_PX), np.uint8)) > 0)
 
 
 def areas_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:

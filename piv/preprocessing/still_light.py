@@ -258,7 +258,7 @@ def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_
         inside = np.where(within, above, np.float32(0.0))
         height = cv2.blur(inside, around) / body
         lit = (height > deviation) & (above > LEAKS * height)
-        dark = (height < low) & (above < HALF * (low + height))
+        dark = (height < 1.6 * low) & (above < HALF * (low + height))  # far below its gaps and their noise
         # Particles, and gaps between them, are smaller.
         found |= _dilate(_erode(lit | dark, square), square)
     return _dilate(found & near, (3, 3)) & near

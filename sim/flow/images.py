@@ -230,12 +230,12 @@ class FlowCamera:
         reach = (light_reach_mm(self.sheet) if self._sources else self.sheet.reach_mm) + tilt
         middle = self.sheet.offset_mm
         low, high = middle - reach, middle + reach
-        planes, edges = np.zeros(1), [min(low, -0.01), max(high, 0.01)]
+        planes, edges = [0.0], [min(low, -0.01), max(high, 0.01)]
         if self._spheres_in_sheet:
             step = SLAB * self.sheet.thickness_mm
             count = int(np.ceil((BRIGHT_DEPTH * self.sheet.thickness_mm + tilt) / step))
-            planes = middle + step * np.arange(-count, count + 1)
-            edges = [low, *(planes[1:] - 0.5 * step).tolist(), high]
+            planes = [middle + step * each for each in range(-count, count + 1)]
+            edges = [low, *(each - 0.5 * step for each in planes[1:]), high]
         return tuple(
             ParticleView(
                 self.scene,
@@ -246,7 +246,7 @@ class FlowCamera:
                 spot_px=self.spot_px,
                 step_px=self.step_px,
             )
-            for number, plane in enumerate(planes.tolist())
+            for number, plane in enumerate(planes)
         )
 
     @cached_property
