@@ -171,6 +171,7 @@ sys.exit(main(["trace", sys.argv[3], "-o", sys.argv[2]]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux says what a process has")
 def test_what_does_not_fit_into_memory_is_refused_before_it_is_taken(lab, tmp_path):
     """A sensor of 12 000 x 12 000 px: 144 million rays."""

@@ -27,7 +27,7 @@ def noisy(bench):
 
 
 @pytest.mark.parametrize("box", KINDS)
-@pytest.mark.parametrize("noise_steps", [slow(1), 2, slow(5), slow(10), 20])
+@pytest.mark.parametrize("noise_steps", [slow(1), slow(2), slow(5), slow(10), 20])
 def test_every_move_arrives(noisy, box, noise_steps):
     made = noisy(box, noise_steps).homed()
     for number in range(MOVES):

@@ -33,6 +33,7 @@ def bench(tmp_path):
         yield served
 
 
+@pytest.mark.slow
 def test_the_prompt_goes_through_as_written(bench, monkeypatch, capsys):
     lines = lines_of_the_prompt()
     assert {line.split()[0] for line in lines} >= {"home", "where", "move", "jog", "here", "save", "quit"}

@@ -122,6 +122,7 @@ def start(folder, *arguments, **options):
     )
 
 
+@pytest.mark.slow
 def test_other_programs_can_use_the_simulated_bench(tmp_path):
     """A stranger with pyserial talks to a controller on the device file that `emulate` names."""
     write_bench(tmp_path)

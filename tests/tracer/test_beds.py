@@ -111,6 +111,7 @@ def test_same_bits_for_any_order_of_bodies() -> None:
         assert bits(build_ray_map(where)) == bits(build_ray_map(other))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [1, 11])
 def test_same_bits_for_any_tile(shift: int) -> None:
     """The same pixels on a sensor that begins elsewhere stand in other tiles, beside other rays."""

@@ -411,6 +411,7 @@ def damaged_trees(draw: st.DrawFn) -> str:
     return as_flow(tree)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=damaged_trees())
 def test_fuzzed_trees_load_or_are_refused(text: str, tmp_path: Path) -> None:

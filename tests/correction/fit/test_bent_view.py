@@ -120,6 +120,7 @@ def test_edges_are_shaded_as_gradient_and_erf_of_numpy_and_scipy_say(edges, whol
     np.testing.assert_allclose(shade, wanted, rtol=0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_what_the_bending_of_a_view_does_to_corners_is_taken_off():
     shown, away, sigma, doubt = found("three_spheres_500", 2.5)
     chain = shown.ways == "sphere3 > sphere2 > sphere1"

@@ -116,6 +116,7 @@ def bare_fit(share: float, told: float, nearer_mm: float = 0.0) -> Progress:
     return work
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.03, slow(-0.03)])
 def test_heights_that_are_off_by_one_factor_are_named_and_followed_by_a_right_fit(share):
     with pytest.raises(FitFailed, match="heights of the target seem to be") as refused:

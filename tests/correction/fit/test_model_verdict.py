@@ -209,7 +209,11 @@ def test_what_residuals_say_agrees_with_the_verdict_on_the_whole_model(found, wo
 
 @pytest.mark.parametrize(
     ("seed", "fault", "words"),
-    [(205, "", "the model is right"), (205, "ellipsoid", "not the sphere"), slow(205, "support", "side by side")],
+    [
+        slow(205, "", "the model is right"),
+        (205, "ellipsoid", "not the sphere"),
+        slow(205, "support", "side by side"),
+    ],
 )
 def test_drawn_labs_are_judged_and_the_cause_is_named(seed, fault, words):
     lab = drawn_lab(seed, fault)

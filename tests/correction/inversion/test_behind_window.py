@@ -10,6 +10,7 @@ import pytest
 from correction.grid import PlaneGrid
 from correction.inversion.invert import Inversion
 from correction.node_status import NodeStatus
+from tests.slow_cases import slow_but
 from tests.tracer.drawn_walls import GLASS, WATER, among_all_kinds, seen
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Sphere, Window
@@ -57,7 +58,7 @@ def direct(scene: Scene, ray_map: RayMap | None = None) -> Inversion:
     return made
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", slow_but(SCENES, *[*SCENES][::2]))
 def test_the_ray_of_the_pixel_found_meets_the_node(name: str) -> None:
     scene = SCENES[name]
     made = direct(scene)

@@ -39,6 +39,7 @@ def boards(rng, matrix, terms, count=10, tilt_deg=22.0, noise_px=0.05, bent_mm=0
     return out
 
 
+@pytest.mark.slow
 def test_numbers_lie_where_their_sigma_says():
     rng = np.random.default_rng(3)
     pulls = []

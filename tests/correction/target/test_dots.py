@@ -15,6 +15,7 @@ from sim.renderer.patterns import DotGrid, Pose
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.target.drawn_boards import NOMINAL, camera, counted
+from tests.slow_cases import slow_but
 from tracer.board import LARGE_DOTS, Dots
 from tracer.scene.scene import Scene
 
@@ -50,7 +51,7 @@ def test_of_three_hundred_drawn_grids_none_is_wrong():
     assert np.median(rms) < 0.03
 
 
-@pytest.mark.parametrize("away", [(0, 0), (1, 0), (0, -2)])
+@pytest.mark.parametrize("away", slow_but([(0, 0), (1, 0), (0, -2)], (0, -2)))
 def test_a_camera_that_is_believed_a_pitch_aside_moves_no_dot(away):
     x, y = PITCH_MM * np.array(away)
     true = camera((x, y, 300.0), (x, y), 0.02)

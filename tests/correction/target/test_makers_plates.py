@@ -22,6 +22,7 @@ from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tests.correction.target.drawn_plates import drawn, printed
 from tests.correction.target.test_uniform_grids import View, centre_of_picture, rim
+from tests.slow_cases import slow_but
 from tracer.board import Dots
 from tracer.strategies.sensitivity import TargetPose
 
@@ -30,7 +31,7 @@ BY_NAME = {"plate": "lavision-106-10", "dot_mm": 2.2}
 MARKS = {"square": [-30.0, -5.0], "triangle": [20.0, 5.0]}
 
 
-@pytest.mark.parametrize("seed", [7, 8, 11, 13, 16, 18])
+@pytest.mark.parametrize("seed", slow_but((7, 8, 11, 13, 16, 18), 7, 13))
 def test_a_plate_drawn_at_random_is_found_where_it_is(seed):
     found, off = drawn(seed).find()
     assert len(found) > 80

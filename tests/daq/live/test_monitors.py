@@ -20,6 +20,7 @@ from tracer.scene.scene_file import dump_scene
 SHOWS = {"rims": True, "shows": "chessboard"}
 
 
+@pytest.mark.slow
 def test_glass_that_stands_beside_its_outline_is_red():
     scene = scene_of()
     slot = SlotWriter(4 * scene.camera.shape[0] ** 2)

@@ -24,6 +24,7 @@ def pixels_of(folder):
     return [path.read_bytes()[-2 * SIDE_PX**2 :] for path in sorted((folder.path / "frames").glob("*.tif"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_corrected", [True, slow(False)])
 def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
     bench, plan = load(tmp_path, PLAN, camera=FILES_CAMERA)

@@ -19,6 +19,7 @@ from tests.slow_cases import slow
 PAIRS = 60  # 2.4 s of light
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [6, slow(0), slow(1), slow(25)])
 def test_light_ends_with_the_room_on_the_disk(tmp_path, monkeypatch, frames):
     monkeypatch.setattr(world, "LitFlow", ToldLight)

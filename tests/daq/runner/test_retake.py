@@ -99,6 +99,7 @@ def test_from_the_command_line(run, capsys):
     assert main(["acquire", "--resume", path, "--retake"]) == USAGE
 
 
+@pytest.mark.slow
 def test_killed_while_taking_again_goes_on(run):
     """Right after the discard is in the journal: the run is open, and a plain resume takes what is missing."""
     pytest.importorskip("harvesters", reason="the simulated camera needs harvesters (extra rtpiv[camera])")

@@ -62,7 +62,13 @@ def long_images(light):
 
 @pytest.mark.parametrize(
     ("name", "image"),
-    [("uniform", None), ("shear", None), slow("vortex", None), slow("turbulence", None), ("uniform", long_images)],
+    [
+        slow("uniform", None),
+        ("shear", None),
+        slow("vortex", None),
+        slow("turbulence", None),
+        ("uniform", long_images),
+    ],
 )
 def test_flows_before_nothing_are_not_stretched(name, image):
     for seed in (1, 2, 3):

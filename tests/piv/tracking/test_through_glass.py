@@ -19,6 +19,7 @@ from sim.flow.images import FlowCamera
 from sim.flow.particles import LightSheet, Seeding
 from tests.piv.fixed_windows import evaluate_pair
 from tests.piv.tracking.test_tracks import rms
+from tests.slow_cases import slow
 from tracer.errors import StaleMap
 from tracer.strategies.sensitivity import landings
 from tracer.strategies.trace import trace
@@ -113,7 +114,7 @@ def test_dense_seeding_is_known_better_by_windows():
     assert windows < 0.05 < tracks
 
 
-@pytest.mark.parametrize(("per_px", "share"), [(0.002, 0.7), (0.02, 0.4)])
+@pytest.mark.parametrize(("per_px", "share"), [(0.002, 0.7), slow(0.02, 0.4)])
 def test_sigma_covers_what_it_should_beside_and_behind_the_glass(per_px, share):
     tracks, errors, in_sigma, radius, _ = measured(per_px, 0)
     assert len(errors) > share * per_px * 504**2

@@ -23,6 +23,7 @@ from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_every_arrangement_is_in_the_file_and_the_best_have_scenes(tmp_path, capsys):
     words = ["compare", "--lenses-mm", "60", "--distances-mm", "500", "--balls-mm", "50", "--counts", "1", "2"]

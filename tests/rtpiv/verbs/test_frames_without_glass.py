@@ -49,6 +49,7 @@ def test_two_frames_are_evaluated_in_metres_a_second(day, tmp_path, capsys):
     assert "rtpiv calibrate" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.draws
 def test_a_folder_is_averaged_in_one_command(day, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -11,6 +11,7 @@ from daq.timing.pulses import Role
 from rtpiv.verbs import laser_prove
 from tests.daq.runner.test_laser_trials import WRONG, AtPlug, Hands, wired
 from tests.daq.timing.quantum_desk import desk
+from tests.slow_cases import slow
 
 SECTION = SimpleNamespace(
     pairs=PairsSection(shape="two_blocks", marker="spacing", dead_us=2.0, second_exposure_us=20_000.0)
@@ -78,7 +79,7 @@ def test_a_wrong_box_has_no_proof_that_holds(lab, wrong):
 
 
 @pytest.mark.parametrize("error", [LaserDoubt("the box is another one"), KeyboardInterrupt(), MemoryError()])
-@pytest.mark.parametrize("output", ["B", "F"])
+@pytest.mark.parametrize("output", [slow("B"), "F"])
 def test_trials_that_end_by_an_error_leave_no_proof_that_holds(lab, error, output):
     locate = lab.hands.move_counter
 

@@ -11,6 +11,7 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.piv.conftest import make_pair
+from tests.slow_cases import slow
 from tracer.board import CHIRAL
 from tracer.camera import Camera, look_at
 from tracer.scene.scene import Scene
@@ -28,7 +29,9 @@ def camera(x_mm, y_mm):
 
 
 @pytest.mark.parametrize(
-    "flip", [lambda image: image, lambda image: image[:, ::-1], lambda image: image[::-1]], ids=["", "x", "y"]
+    "flip",
+    [slow(lambda image: image), lambda image: image[:, ::-1], slow(lambda image: image[::-1])],
+    ids=["", "x", "y"],
 )
 def test_vectors_of_a_mirrored_camera_point_where_the_flow_went(tmp_path, flip, monkeypatch):
     """The mirror is in the frames alone, which are reversed; the scene file says it, for ReverseY with a roll."""

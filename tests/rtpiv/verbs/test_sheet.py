@@ -57,6 +57,7 @@ def test_the_scene_that_is_written_has_the_sheet(lab, tmp_path, monkeypatch, cap
     assert "places where particles are seen twice" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_what_shows_no_light_sheet_is_refused(lab, monkeypatch):
     folder, paths = lab
     scene = load_scene(folder / "scene.yaml")

@@ -16,6 +16,7 @@ from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.show import show_through
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
+from tests.slow_cases import slow
 from tests.tracer.scenes import ball, camera_at
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
@@ -25,7 +26,9 @@ from tracer.strategies.ray_map import build_ray_map
 R, CELL = 20.0, 46.2
 
 
-@pytest.mark.parametrize(("name", "low", "high"), [("inside_a_bed", 0.999, 1), ("inside_a_bed_deeper", 0.08, 0.1)])
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [slow("inside_a_bed", 0.999, 1), ("inside_a_bed_deeper", 0.08, 0.1)]
+)
 def test_by_hand_all_of_the_top_layer_and_nine_per_cent_below_it(name, low, high, capsys):
     traced = trace(load_scene(EXAMPLES / f"{name}.yaml"), pictures=False)
     assert traced.gaps is not None

@@ -10,6 +10,7 @@ import tifffile
 from piv.files.vector_file import read_vectors
 from rtpiv.command_line.cli import DONE, USAGE, main
 from tests.piv.conftest import make_pair
+from tests.slow_cases import slow
 
 SHIFT = (3.0, -1.5)
 MORE = ["--final-window", "32"]
@@ -60,7 +61,7 @@ def test_two_frames_alone_are_evaluated_in_pixels(day, tmp_path, monkeypatch, ca
 
 @pytest.mark.parametrize(
     ("more", "unit", "scale"),
-    [([], "pixel", 1.0), (["--mm-per-px", "0.2"], "mm", 0.2), (["--dt-us", "9"], "pixel", 1.0)],
+    [slow([], "pixel", 1.0), (["--mm-per-px", "0.2"], "mm", 0.2), slow(["--dt-us", "9"], "pixel", 1.0)],
 )
 def test_a_mean_without_a_time_is_one_of_displacements(day, tmp_path, capsys, more, unit, scale):
     assert main(["mean", str(day), *MORE, *more, "--workers", "1", "-o", str(tmp_path / "out")]) == DONE

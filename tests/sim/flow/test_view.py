@@ -65,7 +65,7 @@ def seen_by_rays(scene, disc, about_px, aperture, samples):
         slow("two_spheres_500", -0.9),
         ("two_spheres_500", 0.8),
         slow("three_spheres_500", 0.8),
-        ("pair_off_axis", -0.9),
+        slow("pair_off_axis", -0.9),
     ],
 )
 def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):

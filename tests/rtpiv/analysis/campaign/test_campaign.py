@@ -59,6 +59,7 @@ def copy(whole, tmp_path):
     return CampaignFolder(tmp_path / "copy"), content_of(whole.path)
 
 
+@pytest.mark.slow
 def test_two_workers_write_the_same_bytes_as_one(runs, whole, tmp_path):
     folder = planned(tmp_path / "two", runs)
     assert carried_out(folder, 2) == (0, CHUNKS)

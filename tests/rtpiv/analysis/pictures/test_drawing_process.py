@@ -90,6 +90,7 @@ main(["trace", "scene.yaml"])
 """
 
 
+@pytest.mark.slow
 def test_what_both_need_is_imported_before_they_part():
     run = subprocess.run([sys.executable, "-c", WHEN_FORKED], cwd=ROOT, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["True", "True", "False"]

@@ -8,13 +8,14 @@ from rtpiv.analysis.report import pair
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
 from tests.correction.small_scenes import small_scene
+from tests.slow_cases import slow
 from tracer.light_sheet import LightSheet
 from tracer.pupil import Pupil
 
 
 @pytest.mark.draws
 @pytest.mark.parametrize(
-    ("f_number", "bodies", "drawn"), [(None, True, False), (11.0, True, True), (11.0, False, False)]
+    ("f_number", "bodies", "drawn"), [slow(None, True, False), (11.0, True, True), slow(11.0, False, False)]
 )
 def test_blur_is_drawn_where_an_aperture_looks_through_glass(tmp_path, f_number, bodies, drawn):
     scene = small_scene("two_spheres_500", 96)

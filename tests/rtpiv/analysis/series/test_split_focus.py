@@ -76,6 +76,7 @@ def test_other_grids_are_refused():
         join_means(first, replace(first, x_mm=first.x_mm + 0.1), REGION)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_mean_page")
 def test_the_verb_writes_one_mean_with_its_sources(tmp_path, capsys):
     windows = ("--first-window", "32", "--final-window", "16", "--workers", "1")

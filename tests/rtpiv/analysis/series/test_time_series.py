@@ -82,6 +82,7 @@ def test_pairs_that_are_no_even_sampling_have_no_spectrum(time, unit, why):
     assert bool(said) == bool(why)
 
 
+@pytest.mark.slow
 def test_a_series_says_what_moved_at_places_and_along_a_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run = flow_run(tmp_path, 12, shift=lambda n: (2.0 + 0.1 * (-1) ** n, -1.0))
