@@ -72,24 +72,27 @@ def centre_errors(fitted: Path, seen: Path) -> NDArray[np.float64]:
     return np.array([np.subtract(found[ball["name"]], ball["centre_mm"]) for ball in true]) - play_mm
 
 
-def measure_bed(folder: Path) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """Errors (N, 2) [px] of a mean flow, the share of them within one sigma, and rms (3,) [mm] of the centres."""
+def measure_bed(folder: Path) -> tuple[NDArray[np.float64], ...]:
+    """Errors (N, 2) [px] of a mean flow, their stated sigma (N, 2), and rms (3,) [mm] of the centres."""
     (seen,), (flow,) = (tuple(folder.glob(f"runs/*{plan}")) for plan in ("plan-target", "plan-flow"))
     off, sigma = mean_errors(flow / "series")
-    within = float(np.mean(np.abs(off) < sigma))
     centres = centre_errors(folder / "bedfit" / "scene.yaml", seen)
     rms = np.sqrt(np.mean(centres**2, axis=0))
-    print(len(off), np.median(np.abs(off)), np.sqrt(np.mean(off**2)), within, rms)
-    return off, within, rms
+    print(len(off), np.median(np.abs(off)), np.sqrt(np.mean(off**2)), np.mean(np.abs(off) < sigma), rms)
+    return off, sigma, rms
 
 
 def judge_bed(folder: Path) -> None:
     """Hold a calibrated bed and its mean flow to the truth."""
-    off, within, rms = measure_bed(folder)
+    off, sigma, rms = measure_bed(folder)
     assert len(off) > 500
     assert np.median(np.abs(off)) < 0.015
-    assert np.sqrt(np.mean(off**2)) < 0.03
-    assert 0.63 < within < 0.80
+    # Where hardly a particle is lit beside a ball, vectors of pairs scatter by pixels, and the mean says so.
+    known = sigma.max(axis=1) < 0.1
+    assert known.mean() > 0.98
+    assert np.sqrt(np.mean(off[known] ** 2)) < 0.03
+    assert np.abs(off[~known] / sigma[~known]).max(initial=0.0) < 3.0
+    assert 0.63 < np.mean(np.abs(off) < sigma) < 0.80
     assert rms[:2].max() < 0.015
     assert rms[2] < 0.035
 
@@ -109,11 +112,11 @@ def test_a_bed_from_init_to_its_mean_flow(
 
 def judge_tube(folder: Path) -> None:
     """Hold a calibrated tube and its mean flow to the truth: a few nodes behind balls are far off, and say so."""
-    off, within, rms = measure_bed(folder)
+    off, sigma, rms = measure_bed(folder)
     assert len(off) > 500
     assert np.median(np.abs(off)) < 0.015
     assert np.sqrt(np.mean(off**2)) < 0.08
-    assert within > 0.63
+    assert np.mean(np.abs(off) < sigma) > 0.63
     assert rms[:2].max() < 0.01
     assert rms[2] < 0.02
 
