@@ -1,6 +1,6 @@
 """Plates with two levels fit scenes, say from where a frame was taken, and are refused if told wrong."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -29,6 +29,16 @@ from tracer.strategies.sensitivity import TargetPose
 
 PITCH_MM, STEP_MM = 5.0, 1.2
 SIGMA = {"scale_sigma": (1e-4, 1e-4), "step_sigma_mm": 0.01}
+
+
+@dataclass(frozen=True)
+class PlateAside(Plate):
+    """A plate whose grooves stand aside of their places [mm], as well as its maker knows."""
+
+    aside_mm: tuple[float, float] = (0.0, 0.0)
+
+    def shade(self, face_mm, ground_mm):
+        return super().shade(face_mm, ground_mm - self.aside_mm)
 
 
 def plate(levels, step_mm=STEP_MM, pitch_mm=PITCH_MM, bright=True):
@@ -151,8 +161,9 @@ def of_one_frame(degrees, levels, seed, step_sigma_mm=SIGMA["step_sigma_mm"]):
     board, paper = plate(levels, 1.0, 3.5)
     scale = tuple((1.0 + SIGMA["scale_sigma"][0] * rng.normal(size=2)).tolist())
     dots = paper.dots
-    if levels:  # as well as its maker knows
+    if levels:
         dots = replace(dots, step_mm=dots.step_mm + step_sigma_mm * rng.normal())
+        paper = PlateAside(**vars(paper), aside_mm=tuple((step_sigma_mm * rng.normal(size=2)).tolist()))
     image = render(Scene(true, ()), replace(paper, dots=dots, scale=scale), Sensor(), samples=4, seed=seed)
     board = replace(board, scale_sigma=SIGMA["scale_sigma"], step_sigma_mm=step_sigma_mm if levels else 0.0)
     fit = fit_scene(Scene(nominal, ()), [TargetFrame("clear", image, False)], board, FitTable(camera=FREE))
@@ -165,7 +176,7 @@ def of_one_frame(degrees, levels, seed, step_sigma_mm=SIGMA["step_sigma_mm"]):
 @pytest.mark.slow
 def test_one_frame_of_a_plate_says_from_where_it_was_taken_as_well_as_its_sigma_says():
     for degrees in (25.0, 0.0):
-        error, sigma = np.swapaxes([of_one_frame(degrees, "rows", seed) for seed in range(10)], 0, 1)
+        error, sigma = np.swapaxes([of_one_frame(degrees, "rows", seed) for seed in range(10, 30)], 0, 1)
         assert 0.6 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.5
         assert np.abs(error / sigma).max() < 4.0
 
