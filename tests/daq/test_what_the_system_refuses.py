@@ -233,6 +233,7 @@ print(twice(4.0), *complaints, sep="|")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "where", ["a file", *(pytest.param(where, marks=pytest.mark.slow) for where in ("/proc/none", "/dev/null"))]
 )

@@ -35,6 +35,7 @@ def asked_pages(word: str) -> tuple[str, int]:
     return kept, int(pages)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have other ways")
 def test_pages_are_asked_for_once() -> None:
     kept, pages = asked_pages("keep")

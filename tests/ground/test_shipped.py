@@ -91,6 +91,7 @@ def test_what_is_damaged_or_of_an_edited_file_is_compiled(install, able):
     callee.write_text(CALLEE.format("3.0"))
 
 
+@pytest.mark.slow
 def test_another_numba_compiles_and_is_named(install, tmp_path):
     made_by = f"numba-{numba.__version__}"
     shutil.copytree(install.made, tmp_path / "numba-0.1.0" / KIND)

@@ -26,7 +26,7 @@ def homed(bench, driver, **changes):
     return bench(driver, **changes).homed({"a": 60.0, "b": 30.0})
 
 
-@pytest.mark.parametrize("off_s", [0.0, slow(0.02), slow(0.3), 2.0])
+@pytest.mark.parametrize("off_s", [slow(0.0), slow(0.02), slow(0.3), 2.0])
 def test_at_rest(bench, kind, off_s):
     """Seen from outside only: whatever is asked first must not believe the old position."""
     asks = {

@@ -95,6 +95,7 @@ def test_a_level_view_of_a_bed() -> None:
     assert np.mean(made.status == RayStatus.MISSED_PLANE) > 0.1
 
 
+@pytest.mark.slow
 def test_same_bits_for_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     where, made = small(packed(1000, packing="bcc"), 12.0), set()
     for threads in ("1", "2", "3"):

@@ -120,6 +120,7 @@ def test_without_power_the_glass_is_not_there(name: str) -> None:
 RADII_MM = (0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 5.0)
 
 
+@pytest.mark.slow
 @loop_over("name", ["one_sphere_250", "two_spheres_500", "three_spheres_500"])
 @loop_over("radius_mm", RADII_MM)
 def test_rays_along_a_contact_axis(name: str, radius_mm: float) -> None:
@@ -168,6 +169,7 @@ def ray_leaving_at(upper: Glass, leave: np.ndarray, inside: np.ndarray) -> tuple
     return start, tuple(-x for x in outwards)
 
 
+@pytest.mark.slow
 @loop_over("radius_mm", RADII_MM)
 def test_rays_across_an_oblique_contact(radius_mm: float) -> None:
     """Rays that leave one sphere `radius_mm` beside its contact with the next, up to 35 degrees to its axis."""

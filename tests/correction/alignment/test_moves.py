@@ -38,7 +38,6 @@ def aligned(rng, follows=(1.0, 1.0, 1.0)):
     return np.array(places), camera_put_up + camera
 
 
-@pytest.mark.slow
 def test_a_thousand_benches_are_aligned_and_no_glass_touches():
     rng = np.random.default_rng(1)
     ends = np.empty((1000, 3))

@@ -227,7 +227,6 @@ def seen():
     return scene, ray_map, build_correction_map(scene, ray_map), frames
 
 
-@pytest.mark.slow
 def test_the_image_route_finds_the_shift_behind_the_ball(seen):
     scene, _, cmap, frames = seen
     corrector = Corrector(cmap)

@@ -307,6 +307,7 @@ def linear_labs(heights_mm, count, seed):
     return [prior_pulls(bench, x, root.T @ root, gain) for x in labs]
 
 
+@pytest.mark.slow
 def test_labs_drawn_from_their_priors_raise_no_alarm_more_often_than_stated():
     alarms = sum(map(bool, linear_labs([0.0, -10.0, 10.0], 1000, 1)))
     assert alarms <= 5  # 1 in 1000 expected at most

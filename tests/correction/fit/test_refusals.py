@@ -89,6 +89,7 @@ def test_wrong_glass_is_never_silent():
     assert caught.value.value != caught.value.limit
 
 
+@pytest.mark.slow
 def test_another_square_than_believed_is_noticed_by_the_distance():
     truth = bench(*MADE).truth
     clear = photograph(truth.with_bodies(()), False, 0.0, 1, square_mm=1.1 * SQUARE_MM)

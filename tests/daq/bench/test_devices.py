@@ -123,6 +123,7 @@ def test_lines_are_those_of_the_bench_file(tmp_path, said):
     assert "volt: high" in path.read_text().splitlines()[line - 1]
 
 
+@pytest.mark.slow
 def test_a_second_camera_is_another_one_and_sees_its_own_scene(tmp_path):
     need_harvesters()
     text = "  second: {kind: camera, scene: other.yaml, backend: files, options: {folder: f}}\n"

@@ -290,6 +290,7 @@ def test_what_seldom_changes_is_sent_when_it_has_and_pictures_fit_the_room() -> 
         assert len(pictures[0]) == HEAD.size + 2 * SIDE**2
 
 
+@pytest.mark.slow
 def test_nobody_copies_while_nobody_looks() -> None:
     with showing() as measures:
         time.sleep(1.6)
@@ -355,6 +356,7 @@ def test_whoever_is_killed_leaves_nothing_in_memory(tmp_path: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heard", slow_but(["all", "half", "nothing"], "half"))
 def test_a_server_whose_program_is_killed_as_it_begins_says_nothing_and_gives_memory_back(heard: str) -> None:
     slot = SlotWriter(1000)

@@ -56,6 +56,7 @@ def run(folder, **changes):
     return acquire_simulated(plan, bench, folder / "runs", operator=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "faults"), [
     ("two_blocks", "first_skipped: 3, skipped: [19], dropped: [30]"),
     pytest.param("straddling", "", marks=pytest.mark.slow),

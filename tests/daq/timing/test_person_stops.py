@@ -17,7 +17,6 @@ def require_dark(table):
     assert not wrong
 
 
-@pytest.mark.slow
 @loop_over("how", HOWS)
 @loop_over("box", [box for box in BOXES if not {"all", "state", "2"} & {*box.split()}])
 def test_nothing_leaves_after_a_person_has_ended_it(box, how):

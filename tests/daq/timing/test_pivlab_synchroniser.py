@@ -136,6 +136,7 @@ def test_dt_is_what_the_box_can_do(dt_us):
         assert laser.dt_us == 250.0
 
 
+@pytest.mark.slow
 @loop_over("driver", FIRMWARE)
 @loop_over("kind", KINDS)
 def test_one_fault_at_any_answer(driver, kind):

@@ -349,6 +349,7 @@ def answers_of_a_burst():
         return d.line.faults._count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [61, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_one_fault_at_any_answer(kind, every):

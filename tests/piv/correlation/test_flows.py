@@ -80,6 +80,7 @@ def test_a_displacement_beyond_the_first_window_is_found_without_being_told(part
     assert not field.warning
 
 
+@pytest.mark.slow
 def test_what_stands_still_is_found_and_named(particle_pair):
     pair = particle_pair(mix, seed=7)
     assert abs(evaluate_pair(*pair).static_share) < 0.04

@@ -374,6 +374,7 @@ def test_fields_that_follow_the_noise_of_their_pairs_add_nothing_to_stresses():
         assert np.abs(two - one).max() < 0.6 * left, (side, one, two, left)
 
 
+@pytest.mark.slow
 def test_what_a_field_takes_from_its_pair_within_a_window_is_put_back():
     """Fields of pairs that show half of a wave of 40 px: 0.4 of its stress was lost in windows of 32 px."""
     rng = np.random.default_rng(6)

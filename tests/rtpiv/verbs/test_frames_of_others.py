@@ -61,6 +61,7 @@ def test_frames_of_another_size_cost_their_own_pair(tmp_path, folder, capsys):
     assert "im4.tif: is 128 x 64 px, and 128 x 96 px are expected" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_a_damaged_frame_of_a_video_costs_its_own_pair(tmp_path, capsys):
     pytest.importorskip("av")
     shown = np.array([frame for number in range(4) for frame in pair(number)])

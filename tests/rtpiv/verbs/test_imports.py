@@ -38,6 +38,7 @@ def _loaded(code: str, *words: str) -> set[str]:
     return set(_errors_of(f"{code}\nprint(*sys.modules, file=sys.stderr)", *words).split())
 
 
+@pytest.mark.slow
 def test_no_verb_imports_what_it_may_not_need():
     assert {"correct", "evaluate", "calibrate", "trace", "report", "acquire"} <= set(VERBS)
     code = "from importlib import import_module; [import_module(f'rtpiv.verbs.{name}') for name in sys.argv[1:]]"

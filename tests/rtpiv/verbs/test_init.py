@@ -102,6 +102,7 @@ def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_
     assert all(isinstance(found, FileCheck) for found in check(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_others")
 @pytest.mark.parametrize(
     "lab", [slow(LABS["one ball"], name="one"), pytest.param(LABS["triangle on rods"], id="triangle")]

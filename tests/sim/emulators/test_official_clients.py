@@ -29,6 +29,7 @@ def zaber():
         yield connection, motors, line
 
 
+@pytest.mark.slow
 def test_zaber_official_client_detects_homes_moves_and_waits(zaber):
     connection, motors, _ = zaber
     devices = connection.detect_devices(identify_devices=False)

@@ -199,6 +199,7 @@ def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
     assert meeting[2] == pytest.approx(meeting[0], abs=1e-10)
 
 
+@pytest.mark.slow
 @loop_over("cores", [(), ((20.0, 1.0),), ((24.0, 1.0003), (15.0, 1.6), (9.0, 1.2))])
 @loop_over("name", sorted(SCENES))
 def test_two_formulations_agree(name, cores):

@@ -132,6 +132,7 @@ def test_a_file_that_cannot_be_written_is_refused_with_the_reason(tmp_path):
         assert "vectors-checked.nc: is a directory" in ask({"write": {}})["refused"].lower()
 
 
+@pytest.mark.slow
 def test_other_windows_at_a_place_find_the_displacement_and_frames_are_sent(tmp_path, frames):
     with shown(tmp_path, frames) as page, looking(page) as (about, ask):
         assert about["frame"]["width"] == 144

@@ -68,6 +68,7 @@ def test_a_folder_is_evaluated_and_a_pattern_averaged(recorded, tmp_path, monkey
         assert (tmp_path / "averaged" / name).is_file()
 
 
+@pytest.mark.slow
 def test_a_frame_that_changes_is_read_again_and_its_chunk_made_anew(recorded, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "worker_processes", ThreadPoolExecutor)
     for path in recorded.glob("B*.tif"):

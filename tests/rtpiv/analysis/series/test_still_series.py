@@ -55,6 +55,7 @@ def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
         assert found.fields["chc"][:, ~solid][:, 4:].mean() > 0.95, name
 
 
+@pytest.mark.slow
 def test_it_is_looked_for_once_and_again_if_its_file_is_lost(day, tmp_path):
     words = ["evaluate", str(day), *TOLD, "--no-pictures", "-o", str(tmp_path / "out")]
     assert main(words) == DONE
