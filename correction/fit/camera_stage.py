@@ -62,8 +62,8 @@ COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 GRAIN_PX, STEEPEST = 1.0, 0.998  # smoothing against noise; quantile of slopes that is an edge's steepest
 SHADOWS = (
-    "dots of the other level of the plate are seen aside of their places, as if shadows of its grooves cut them;"
-    " light it along the grooves or from both sides, or give a larger step_sigma_mm"
+    "dots of the lower level of the plate are seen aside of their places, as if shadows of its grooves cut them;"
+    " light it along the grooves or from both sides"
 )
 BLURRED_PX, BLURRED = 2.0, 0.12  # pixels, and share of a square, from which an edge hides marks of 0.4 squares
 
@@ -197,9 +197,9 @@ def _fit_camera(
 
 
 def _allow_shadows(work: Progress, frame: MeasuredFrame) -> None:
-    """Let all dots of the other level of a plate be aside by as much as shadows make each of them uncertain."""
-    deep = frame.corners.depth_mm != 0.0
-    if deep.any():
+    """Let all dots of the lower level of a plate be aside by as much as shadows make each of them uncertain."""
+    deep = work.unknowns.is_deep(frame.corners.depth_mm)
+    if frame.corners.depth_mm.any() and deep.any():
         per_px = work.board.square_mm / np.sqrt(np.abs(np.linalg.det(frame.axes_px[deep])))
         spread_mm = np.linalg.norm(frame.sigma_px[deep], axis=1) * per_px
         work.shadow_mm = max(work.shadow_mm, float(np.median(spread_mm)))

@@ -1,6 +1,7 @@
 """State of a fit between its stages."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Progress:
         self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames if not f.pose]
         self.poses = {pose: np.zeros(len(TARGET)) for pose in sorted({f.pose for f in frames if f.pose})}
         self.focal_free = len({(f.pose, f.height_mm) for f in self.bare_frames}) >= 3
-        self.shadow_mm = 0.0  # by which shadows may shift all dots of the other level of a plate
+        self.shadow_mm = 0.0  # by which shadows may shift all dots of the lower level of a plate
         self.unknowns = self.unknowns_of(nominal, priors)
         self.full = self.unknowns.start
         self.bare: list[MeasuredFrame] = []
@@ -76,7 +77,8 @@ class Progress:
         board = board or self.board
         aside_mm = max(board.step_sigma_mm, self.shadow_mm)
         known = (*board.print_sigma, *[aside_mm] * (2 * len(board.depths_mm) - 2))
-        return unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known, self.poses)
+        bench = unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known, self.poses)
+        return replace(bench, origin_is_deep=board.depths_mm[-1] < 0.0)
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""

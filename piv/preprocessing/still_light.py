@@ -20,10 +20,8 @@ partners), and
 Cells count that make up squares of `SQUARE` x `SQUARE`, and with them what belongs to them. Where next to nothing
 moves, nothing is said, for it may be a flow at rest.
 
-**Writing and bars** are thinner. They are lines of cells (`LINE`) that stand still and are far brighter than a
-flow; and plateaus, areas of 3 x 3 px whose darkest pixel is `PLATEAU` times brighter than those of moving
-particles in most areas of the frame, in either frame: digits of a clock change between both. And rows or columns
-that are bright over `LINE_PX` in all frames, as those of a graticule or of a sensor. Thinner writing: `overlays`.
+**Writing and bars** are thinner: lines of cells (`LINE`) that stand still and are far brighter than a flow, and
+what `piv.preprocessing.writing` finds by single pixels.
 
 The frames may be those of one pair, or A of one and B of another, which no slow flow makes alike: then r and E are
 means over all that are compared. A series finds its still light so, from frames whose background is not taken
@@ -38,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import map_parts
-from piv.preprocessing.overlays import HALO_PX, LETTER_PX, LETTER_PX2, areas_of, find_overlays, same_numbers
+from piv.preprocessing.writing import BrightPixels, find_overlays, find_plateaus, find_ruled_lines
 
 STILL_CELL_PX = 4
 STILL_LEVEL_PX = 11  # side of the surroundings: larger than particle images, so that edges do not reach far
@@ -54,20 +52,14 @@ RAISED, SUNK = 0.25, 0.1  # change of the floor in sqrt(E_0), beyond nearly all 
 EXTREME, BEYOND = 0.1, 0.5  # share of those that are more extreme; and of their range
 HARDLY = 0.02  # of E_0: structure of a plain cell
 SHAKEN = 0.5  # r of a plain cell before a raised floor, if the camera shakes
-# Over the plateaus of particles; how many of these are darker; share of areas that writing does not reach
-PLATEAU, PLATEAU_QUANTILE, USUAL_AREA = 1.3, 0.999, 0.8
-FLAT = 0.01  # of a pixel: by which plateaus differ that are resampled
-EQUAL = 0.1  # of a plateau's height: difference between both frames
-LEAST_KNOWN, HALF = 0.15, 0.5  # share of a line of writing that does not change
 RIM_PX, IMAGE_PX = 32, 3  # beside a mask: how far windows reach, and particle images
 CLEAN, CLEAN_SHARE, SAME = 0.25, 0.02, 0.1  # of the deviation of a flow; share that is brighter; of the mean
 LEAK_PX = 6  # off a mask: light of what it hides
-LEAKS, DARKER = 0.5, 0.05  # of the height of a body: its edge; share of the flow's pixels below a dark body
+LEAKS, LEAK_SIDE_PX = 0.5, 5  # of the height of a body: its edge; side of the least that leaks
+DARK, DARKER = 0.05, 1.6  # quantile of a flow's gaps; depth of a dark body, of that of these gaps and their noise
+HALF = 0.5  # of cells, of a frame's structure, between a body and its surroundings
 QUICK, SPREADS = 0.3, 9.0  # r of a usual cell below which flow is quick; of floors, in median deviations
 GRAIN = 0.08  # of how much a floor is raised: change from frame to frame that is still that of a body
-LINE_PX = 48  # length of a line that is ruled
-RULED_HALO_PX = 3  # what its edges reach, beyond one pixel
-RULED, RULED_QUANTILE = 0.45, 0.85  # how bright it is: of the brightest; share of the pixels that are darker
 LINE = 2, 8  # cells of a line of writing
 SQUARE, GAP = 4, 7  # cells along each axis that must stand still together; that may lack a grain between them
 
@@ -118,7 +110,7 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     if not valid.any():
         return None
     sums: list[Floats] = []
-    plateaus: tuple[NDArray[Any], ...] | None = None
+    bright_pixels: BrightPixels | None = None
     darkest = np.full(valid.shape, np.inf, np.float32)
     count, counts = 0, 0.0
     weight = None if valid.all() else np.maximum(_means_around(valid.astype(np.float32)), np.float32(1e-6))
@@ -128,11 +120,11 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         ordered = (one, one), (other, other), (one, other), (other, one)
         exact = all(frame.dtype in (np.uint8, np.uint16) for frame in (a, b))
         tasks: list[Callable[[], Any]] = [
-            partial(_plateaus, *((a, b) if exact else numbers)),
+            partial(BrightPixels.of_pair, *((a, b) if exact else numbers)),
             *(partial(_products, *parts) for parts in ordered),
             partial(_floor, numbers[0], numbers[1], of_a.shape),
         ]
-        flat, of_one, of_other, there, back, floor = map_parts(lambda task: task(), tasks)
+        shown, of_one, of_other, there, back, floor = map_parts(lambda task: task(), tasks)
         of_one, of_other = (np.maximum(part, 0.0) for part in (of_one, of_other))
         both = np.float32(0.5) * (there + back)
         if not (of_one.any() and of_other.any()):
@@ -147,14 +139,11 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
         now = [np.asarray(part, np.float32) for part in (share, mean, bright, floor, least)]
         sums = [total + part for total, part in zip(sums, now, strict=True)] if sums else now
         counts += float(scales[0] * scales[1]) ** -0.25
-        if plateaus is not None:
-            picks: tuple[Callable[..., Any], ...] = np.minimum, np.maximum, np.maximum, same_numbers, np.maximum
-            flat = tuple(pick(*parts) for pick, *parts in zip(picks, plateaus, flat, strict=True))
-        plateaus = flat
+        bright_pixels = shown if bright_pixels is None else bright_pixels.join(shown)
         for frame in numbers:
             np.minimum(darkest, frame, out=darkest)
         count += 1
-    if plateaus is None or not sums[1].any():
+    if bright_pixels is None or not sums[1].any():
         return None
     cells = Cells(*(total / np.float32(count) for total in sums))
     cells = cells._replace(floor=cells.floor * np.float32(count / counts))
@@ -192,13 +181,13 @@ def still_light(frames: Iterable[Two], valid: NDArray[np.bool_]) -> NDArray[np.b
     )
     still = found[:, columns][rows]
     parts: list[Callable[[], NDArray[np.bool_]]] = [
-        partial(_find_ruled_lines, darkest, valid),
-        partial(find_overlays, plateaus[3], plateaus[4], valid),
+        partial(find_ruled_lines, darkest, valid),
+        partial(find_overlays, bright_pixels, valid),
     ]
     if quick or still.any():  # in a slow flow clumps stand still as well, but no letters are found beside them
         ground = float(np.median(cells.floor[moves])) * counts / count
         seen_at = valid, valid if quick else valid & still
-        parts.append(partial(_find_writing, plateaus[:3], seen_at, ground, moves[:, columns][rows]))
+        parts.append(partial(find_plateaus, bright_pixels, seen_at, ground, moves[:, columns][rows]))
     for part in map_parts(lambda find: find(), parts):
         still |= part
     return still if still.any() else None
@@ -237,7 +226,8 @@ def with_clean_rim(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.boo
 def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) up to `LEAK_PX` off a mask that show, in either frame, the light of the body it hides.
 
-    So it is where it moves, the camera shakes or the mask is too small; it may be dark. `usable`: of numbers.
+    So it is where the body moves, the camera shakes, or the mask is too small. A body may be brighter than the
+    flow, or darker than the gaps between its particles. `usable` says where frames are numbers.
     """
     import cv2
 
@@ -248,17 +238,17 @@ def light_beside(frames: Two, valid: NDArray[np.bool_], usable: NDArray[np.bool_
     if not near.any():
         return found
     around = (4 * LEAK_PX + 1, 4 * LEAK_PX + 1)
-    square = LETTER_PX2, LETTER_PX2
+    square = LEAK_SIDE_PX, LEAK_SIDE_PX
     body = np.maximum(cv2.blur(within.astype(np.float32), around), 1e-3)
     for frame in _numbers(frames, usable):
         some = frame[::3, ::3][valid[::3, ::3]]
         ground, deviation = (np.float32(part) for part in (np.median(some), some.std()))
-        low = np.float32(np.quantile(some, DARKER)) - ground
+        low = np.float32(np.quantile(some, DARK)) - ground
         above = frame - ground
         inside = np.where(within, above, np.float32(0.0))
         height = cv2.blur(inside, around) / body
         lit = (height > deviation) & (above > LEAKS * height)
-        dark = (height < 1.6 * low) & (above < HALF * (low + height))  # far below its gaps and their noise
+        dark = (height < DARKER * low) & (above < HALF * (low + height))
         # Particles, and gaps between them, are smaller.
         found |= _dilate(_erode(lit | dark, square), square)
     return _dilate(found & near, (3, 3)) & near
@@ -341,69 +331,6 @@ def _still(
     return np.asarray(still | (between & rest) | beside)
 
 
-def _find_writing(
-    plateaus: tuple[NDArray[Any], ...], seen_at: Two, ground: float, moves: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Pixels (H, W) of plateaus far brighter than particles, and what their edges reach; see `_plateaus`.
-
-    `seen_at`: valid pixels, and those that hold a share of each line of writing.
-    """
-    import cv2
-
-    (both, either, uneven), (valid, known) = plateaus, seen_at
-    # Digits that change seem to move; but they are flat, and particles are not, or they lie in a few areas.
-    particles = float(np.quantile(_brightest_of_areas(uneven, moves[::2, ::2]), USUAL_AREA))
-    least = ground + PLATEAU * (particles - ground)
-    core = (both > least) & known
-    if not core.any():
-        return core
-    core &= either - both < EQUAL * (either - ground)  # clumps that drift by less than their size are not
-    around = cv2.boxFilter(core.view(np.uint8), -1, (LETTER_PX2, LETTER_PX2), normalize=False)
-    core &= around >= LETTER_PX2
-    if not core.any():
-        return core
-    # Digits that change stand beside those that do not.
-    bright = ((either > least) & valid).view(np.uint8)
-    number, parts = cv2.connectedComponents(
-        cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((LETTER_PX, LETTER_PX), np.uint8))
-    )
-    known_px, all_px = (np.bincount(parts[part], minlength=number) for part in (core, bright > 0))
-    kept = known_px > LEAST_KNOWN * all_px
-    kept[0] = False
-    # The darkest of 3 x 3 px stands at their middle.
-    reach = np.ones((3 + HALO_PX - 1, 3 + HALO_PX - 1), np.uint8)
-    return np.asarray(cv2.dilate(bright * kept[parts], reach) > 0)
-
-
-def _find_ruled_lines(darkest: Floats, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (H, W) in and beside bright lines along rows or columns, such as those of a graticule or a sensor.
-
-    No row of particles is so long and nowhere dark in all frames.
-    """
-    import cv2
-
-    some = darkest[::3, ::3][valid[::3, ::3]]
-    if not some.size:
-        return np.zeros(valid.shape, bool)
-    ground, high, top = (float(part) for part in np.quantile(some, (0.5, RULED_QUANTILE, 1.0)))
-    lit = ((darkest > max(high, ground + RULED * (top - ground))) & valid).view(np.uint8)
-    # Lines are thin; what is wide is a body, or glare on it.
-    lit[cv2.morphologyEx(lit, cv2.MORPH_OPEN, np.ones((HALO_PX, HALO_PX), np.uint8)) > 0] = 0
-    found = np.zeros(valid.shape, bool)
-    for along in ((1, LINE_PX), (LINE_PX, 1)):
-        wide = cv2.dilate(lit, np.ones((3, 1) if along[0] == 1 else (1, 3), np.uint8))
-        found |= np.asarray(cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones(along, np.uint8)) > 0)
-    found = np.asarray(cv2.dilate(found.view(np.uint8), np.ones((RULED_HALO_PX, RULED_HALO_PX), np.uint8)) > 0)
-    # More is a pattern, between whose lines there is nothing (`piv.correlation.common_light`).
-    return found if found.mean() <= HALF else np.zeros(valid.shape, bool)
-
-
-def _brightest_of_areas(plateaus: NDArray[Any], moves: NDArray[np.bool_]) -> Floats:
-    """Quantiles of the plateaus (h, w) of areas in which most moves; of all that moves where there is none."""
-    most = [area for area in areas_of(moves.shape) if moves[area].sum() > HALF * moves[area].size] or [np.s_[:, :]]
-    return np.array([np.quantile(plateaus[area][moves[area]], PLATEAU_QUANTILE) for area in most], np.float32)
-
-
 def _share_of_cells(valid: NDArray[np.bool_], shape: tuple[int, ...]) -> Floats:
     """Share (ny, nx) of the pixels of cells that are valid."""
     import cv2
@@ -465,21 +392,6 @@ def _floor(a: Floats, b: Floats, shape: tuple[int, ...]) -> Floats:
     side = FLOOR_PX // 2
     opened = cv2.morphologyEx(half, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     return np.asarray(cv2.resize(opened, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _plateaus(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """The darkest of 3 x 3 px: in both frames, the brighter, there where not flat; same numbers; brighter px."""
-    import cv2
-
-    size = np.ones((3, 3), np.uint8)
-    one, other = (np.asarray(cv2.erode(part, size)) for part in (a, b))
-    either = np.maximum(one, other)
-    both = np.minimum(one, other, out=one)
-    every = slice(None, None, 2), slice(None, None, 2)
-    top = np.maximum(a, b)
-    brightest = np.asarray(cv2.dilate(top, size))[every]
-    step = np.asarray(FLAT * brightest, brightest.dtype)
-    return both, either, np.where(brightest - either[every] > step, either[every], 0), same_numbers(a, b), top
 
 
 def _products(one: Floats, other: Floats) -> Floats:

@@ -263,13 +263,12 @@ def free_rates(
     # tells, must move nothing, or noise beside the corners would shrink it.
     on_print = rays.point_mm / unknowns.stretch(full)[:2]
     by_print = on_print[:, :, None] * unknowns.columns[unknowns.print_place]
-    if corners.depth_mm.any():
+    if len(levels := unknowns.columns[unknowns.print_place.stop :]):
         normal = np.array(unknowns.pose(full, corners.height_number).axes[2])
         by_depth = rays.rate[:, :, -len(TARGET) : -3] @ normal
-        step, *aside = unknowns.columns[unknowns.print_place.stop :]
-        by_print += (by_depth * corners.depth_mm[:, None])[:, :, None] * step
-        if aside:
-            by_print += (corners.depth_mm != 0.0)[:, None, None] * np.array(aside)
+        by_print += (by_depth * corners.depth_mm[:, None])[:, :, None] * levels[0]
+        if len(aside := levels[1:]):
+            by_print += unknowns.is_deep(corners.depth_mm)[:, None, None] * aside
     return np.asarray(of_rays - by_print)
 
 

@@ -7,7 +7,7 @@ All numbers of the bench stand in one FULL vector:
 
 in the units of `tracer.strategies.sensitivity`; the last ones are by how much of itself the print is wider and
 higher than it was measured, and of a plate with two levels by how much the step is deeper, and how far the dots of
-the other level stand aside of their places, as shadows of its grooves show them.  The FREE vector x is shorter and
+the lower level stand aside of their places, as shadows of its grooves show them.  The FREE vector x is shorter and
 in units of the prior's sigmas:
 
     full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
@@ -46,7 +46,7 @@ from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
 from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
-ASIDE = ("print.aside_x", "print.aside_y")  # the other level of a plate [mm]
+ASIDE = ("print.aside_x", "print.aside_y")  # the lower level of a plate [mm]
 PRINT = ("print.stretch_x", "print.stretch_y", "print.step", *ASIDE)  # the last three of plates with two levels
 BY_HAND = (1000.0, 1.0)  # mm, rad: sigma of a pose by hand, so wide that frames alone decide
 NOTHING_BY_HAND: Mapping[str, NDArray[np.float64]] = {}
@@ -77,6 +77,8 @@ class Unknowns:
         Names of poses by hand; their numbers follow those of the heights.
     edges : tuple of EdgePoint
         Points of frames on edges of blocks.
+    origin_is_deep : bool
+        The origin is on the lower level of a plate.
     """
 
     scene: Scene
@@ -88,6 +90,7 @@ class Unknowns:
     contact_mm: float | None = None
     poses: tuple[str, ...] = ()
     edges: tuple[EdgePoint, ...] = ()
+    origin_is_deep: bool = False
 
     @cached_property
     def blocks(self) -> dict[str, slice]:
@@ -169,7 +172,11 @@ class Unknowns:
         """Places (N, 2) on the target of marks that were measured at `node_mm` (N, 2), at depths (N,)."""
         aside = full[self.print_place.stop + 1 :]
         stretched = self.stretch(full)[:2] * node_mm
-        return np.asarray(stretched + (depth_mm != 0.0)[:, None] * aside if len(aside) else stretched)
+        return np.asarray(stretched + self.is_deep(depth_mm)[:, None] * aside if len(aside) else stretched)
+
+    def is_deep(self, depth_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which marks, at depths (N,), are on the lower level of a plate, in the shadow of grooves."""
+        return np.asarray((depth_mm != 0.0) != self.origin_is_deep)
 
     def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
         """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
@@ -329,7 +336,7 @@ def unknowns_of(
         Unit vector along which the stage moves the target to its heights.
     print_sigma : tuple of float
         How well width and height of the print are known, and the step of a plate, as shares of them; then how
-        well the place of its other level is, along x and y [mm].
+        well the place of its lower level is, along x and y [mm].
     poses : dict
         Name of each pose by hand -> where it is looked for first (6,) [mm, rad]; nothing is known of it before.
     """

@@ -74,13 +74,15 @@ def test_marks_of_a_level_land_where_its_plane_is(levels):
     assert np.abs(land_corners(bench, full, moved).point_mm - board.corner_mm(index)).max() < 1e-9
 
 
-def test_marks_of_the_other_level_are_expected_aside_as_far_as_they_stand_and_residuals_follow():
-    board, _ = plate("rows", 2.0)
+@pytest.mark.parametrize("step_mm", [2.0, -2.0])  # the lower level is the other one, or that of the origin
+def test_marks_of_the_lower_level_are_expected_aside_as_far_as_they_stand_and_residuals_follow(step_mm):
+    board, _ = plate("rows", step_mm)
     scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 4).with_bodies(())
     known = (*board.print_sigma, 0.02, 0.02)
     bench = unknowns_of(scene, [0.0], FitTable(), print_sigma=known).only(("print.",))
+    bench = replace(bench, origin_is_deep=step_mm < 0.0)
     index = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
-    deep, aside = board.depth_mm(index) != 0.0, np.array((0.03, -0.05, 0.0))
+    deep, aside = (board.depth_mm(index) != 0.0) == (step_mm > 0.0), np.array((0.03, -0.05, 0.0))
     pixel = scene.camera.project(board.place_mm(index) + deep[:, None] * aside)
     corners = Corners(0, True, pixel, board.corner_mm(index), np.eye(2)[None].repeat(81, 0), board.depth_mm(index))
     x = np.array((0.0, 0.0, 0.0, 1.5, -2.5))
@@ -193,7 +195,9 @@ def test_a_plate_seen_straight_on_says_what_a_flat_board_leaves_to_the_lens():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "aside_mm"), [(406, 0.032), (410, -0.037), (412, 0.31)])
+@pytest.mark.parametrize(
+    ("seed", "aside_mm"), [(402, 0.417), (406, 0.032), (408, 0.240), (410, -0.037), (412, 0.31)]
+)
 def test_shadows_that_shift_a_whole_level_leave_the_camera_where_it_is(seed, aside_mm, monkeypatch):
     view_at = photographed_plates.view_at
     monkeypatch.setattr(photographed_plates, "STYLES", ("plain",) * 7)
