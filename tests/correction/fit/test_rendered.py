@@ -51,6 +51,7 @@ PARAMS = [SMALL, *map(slow, SLOW)]
 
 
 @pytest.mark.parametrize("lab", PARAMS, ids=lambda lab: lab[0])
+@pytest.mark.slow
 def test_fitted_map_is_the_true_map(lab):
     made, fit = bench(*lab), fitted(*lab)
     assert fit.verdict.is_right, fit.verdict.sentences

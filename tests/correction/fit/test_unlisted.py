@@ -86,6 +86,7 @@ def nodes_off(scene: Scene, stray: str) -> int:
 
 
 @pytest.mark.parametrize("stray", slow_but(BODIES, "wire"))
+@pytest.mark.slow
 def test_a_stray_body_is_masked_and_little_else(stray):
     scene = masked_by(frame(stray))
     assert scene.masked

@@ -237,6 +237,7 @@ def test_raw_centroids_go_back_to_their_chief_rays(f_number, moved_px, left_px):
     assert np.array_equal(beside, chief)
 
 
+@pytest.mark.slow
 def test_between_traced_nodes_the_blur_is_interpolated():
     scene = at(11.0)
     pinhole = map_of(None)

@@ -100,6 +100,7 @@ def test_frames_tell_which_sphere_has_moved(drawn):
     assert found.likely_moves[0].move_mm[0] == pytest.approx(-0.04, abs=0.012)
 
 
+@pytest.mark.slow
 def test_frames_on_several_cores_tell_the_same_to_the_last_bit(drawn, monkeypatch):
     scene, pairs = drawn
     found = []

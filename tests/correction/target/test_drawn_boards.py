@@ -33,6 +33,7 @@ def seen(board, true=NOMINAL, odd_bright=True):
     return render(Scene(true, ()), real, Sensor(), samples=2, seed=1)
 
 
+@pytest.mark.slow
 def test_of_some_drawn_boards_none_is_wrong():
     count = count_boards(FEW)
     assert not count.wrong

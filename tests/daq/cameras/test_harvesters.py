@@ -39,6 +39,7 @@ def make(tmp_path):
         camera.close()
 
 
+@pytest.mark.slow
 def test_a_process_that_hangs_is_ended_in_time(make):
     camera = make()
     camera.configure(SOFTWARE)

@@ -85,6 +85,7 @@ def looks(folder):
     return [entry for entry in folder.entries() if entry["kind"] == "look"]
 
 
+@pytest.mark.slow
 def test_glass_and_camera_come_to_their_places(run):
     carry_out, bench, _, folder = run()
     *said, true_mm = carry_out()

@@ -14,7 +14,7 @@ from tests.slow_cases import slow
 
 TIMEOUT_S = 0.5
 PATIENT_S = 2.5  # no frame of a busy computer comes so late by itself
-# The camera works one frame after the other: that of the next trigger waits for the late one, and has the rest of its own timeout.
+# The camera works one frame after the other: that of the next trigger waits for the late one
 LATE = 1.3
 
 

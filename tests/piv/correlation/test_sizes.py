@@ -47,6 +47,7 @@ def test_large_windows_are_sums_of_small_ones(particle_pair):
     assert np.allclose(summed.correlation[inside, inside], told.correlation, atol=0.003)
 
 
+@pytest.mark.slow
 def test_turbulence_is_seen_by_the_finest_with_a_sigma_of_its_size(particle_pair):
     truth = flows.turbulence(3, 2.0, 200, 30)
     pair = particle_pair(truth, SHAPE, seed=7, ppp=0.05)

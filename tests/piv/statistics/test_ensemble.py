@@ -154,6 +154,7 @@ def test_a_fifth_of_all_pixels_dead_moves_neither_mean_nor_stresses():
     assert np.abs(more).max() < 0.08  # frames drawn to each other by their doubt: 0.24
 
 
+@pytest.mark.slow
 def test_what_stands_still_is_taken_off():
     rng = np.random.default_rng(9)
     dust = draw((128, 128), *rng.uniform(0, 128, (2, 200)), 3.0, np.full(200, 900.0))

@@ -106,6 +106,7 @@ def test_a_vortex_behind_glass_is_known_far_better_by_tracks():
     assert tracks < 0.4 * windows
 
 
+@pytest.mark.slow
 def test_dense_seeding_is_known_better_by_windows():
     """0.02 per px: 0.22 px a track, 0.025 a window; tracks are no reason to leave windows there."""
     tracks, windows, count = ring_of(0.02, (0,))

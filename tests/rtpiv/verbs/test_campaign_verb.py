@@ -65,6 +65,7 @@ def finished(runs, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_a_question_writes_nothing(runs, finished, tmp_path, monkeypatch, capsys):
     before, run_before = state_of(finished), state_of(Path(runs[0]))
     monkeypatch.chdir(tmp_path)

@@ -18,6 +18,7 @@ def frames(request):
     return supplied(request.param)
 
 
+@pytest.mark.slow
 def test_true_scene_puts_every_corner_on_the_grid(frames, tmp_path):
     """Corners within 0.10 px rms of the regular grid over the recovered region, glass taken by itself too."""
     (tmp_path / "scene.yaml").write_text(dump_scene(frames.truth))

@@ -28,6 +28,7 @@ def check(found, name):
 
 
 @pytest.mark.parametrize("name", ["two_spheres", pytest.param("one_sphere", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_shift_behind_the_glass_with_the_true_scene(name, tmp_path):
     frames = supplied(name)
     (tmp_path / "scene.yaml").write_text(dump_scene(frames.truth))

@@ -87,6 +87,7 @@ def test_two_frames_of_a_video_are_a_pair_as_they_are(tmp_path):
         evaluate([names[0], video.with_name("run.mp4@3")], out=tmp_path / "t", recipe=PLAIN)
 
 
+@pytest.mark.slow
 def test_a_page_that_would_show_the_same_is_not_drawn_again(tmp_path, folder, monkeypatch):
     drawn, out = [], tmp_path / "s"
 

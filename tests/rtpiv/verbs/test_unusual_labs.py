@@ -216,6 +216,7 @@ def test_slips_of_every_number_of_a_scene_are_seen(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["bench", "bench-flow", "plan-target", "plan-shift", "plan-flow"])
+@pytest.mark.slow
 def test_drawn_slips_of_benches_and_plans_are_seen(lab, tmp_path, name):
     """Most of them; the rest are labs that there are: another speed, another time of settling, fewer frames."""
     for file in lab.glob("*.yaml"):

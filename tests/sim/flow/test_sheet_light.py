@@ -48,6 +48,7 @@ def test_a_gaussian_fan_spreads_as_it_goes():
     assert light.sum() == pytest.approx(expected.sum(), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_opaque_ball_leaves_a_shadow_of_its_width():
     body = ball("steel", -8.0, 2.0, 3.0, 5.0, None)
     found = trace_sheet(Scene(camera_at(), (body,)), LightSheet(0.4, 3.0), [LEFT], AREA)

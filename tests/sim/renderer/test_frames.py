@@ -133,6 +133,7 @@ def plain(image):
     return maximum_filter(image, 7) - minimum_filter(image, 7) < 0.02 * 3300.0
 
 
+@pytest.mark.slow
 def test_brightness_agrees_to_the_noise_beside_the_glass(pair):
     region = pair.region(1.02, 9.0) & plain(pair.ours)
     for shade in (pair.ours < 1000.0, pair.ours > 2000.0):

@@ -53,6 +53,7 @@ def test_the_chapter_of_another_scene_or_of_none_is_left_out(fit, tmp_path):
     assert "Calibration" not in page_of(tmp_path / "none.npz", fit.measured_scene, tmp_path)
 
 
+@pytest.mark.slow
 def test_every_way_with_corners_enough_has_a_panel_and_no_corners_are_no_picture(fit):
     found = StoredVerdict.of(fit)
     titles = [axes.get_title() for axes in smooth_figure(found).axes if axes.get_title()]

@@ -49,6 +49,7 @@ def whole(series):
     return ensemble_flow(given, mean, 16, workers=1)
 
 
+@pytest.mark.slow
 def test_it_measures_mean_and_stresses(whole):
     assert whole.pairs == PAIRS
     found = np.nanmedian(whole.mean_m_s, axis=(0, 1)) * whole.px_per_m_s

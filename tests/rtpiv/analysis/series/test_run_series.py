@@ -207,6 +207,7 @@ def test_a_series_that_is_there_stays_cut_as_it_is(folder, run, made):
     assert (other.chunk, len(other.jobs())) == (2, 6)
 
 
+@pytest.mark.slow
 def test_processes_write_the_same_bytes_as_none(folder, run, made, monkeypatch):
     """Of several that are asked for one is started: it stands for all of them."""
     started = []

@@ -121,6 +121,7 @@ def test_a_folder_with_vectors_of_other_frames_is_not_overwritten(tmp_path, caps
 
 
 @pytest.mark.usefixtures("no_mean_page")
+@pytest.mark.slow
 def test_a_mean_with_another_time_between_its_frames_is_kept_beside_the_first(tmp_path, monkeypatch, capsys):
     """The second replaced the first: the same vectors, at twice the speed."""
     day = time_resolved(tmp_path / "day", 4)

@@ -110,6 +110,7 @@ def warned(value):
     return float(np.nanmedian([value, np.nan]))
 
 
+@pytest.mark.slow
 def test_warnings_of_libraries_do_not_leave_a_worker(capfd, monkeypatch):
     monkeypatch.setattr(workers, "can_fork", lambda: False)  # pytest records warnings of forked processes
     with worker_processes(1) as pool:
