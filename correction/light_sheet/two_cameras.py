@@ -22,7 +22,7 @@ B. Wieneke, Stereo-PIV using self-calibration on particle images, Exp. Fluids 39
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -36,6 +36,7 @@ HUBER_SIGMA = 2.0  # residual from which a place counts less: rims, where two pi
 MIN_PLACES = 12
 POSE_SIGMA = np.array([1.0, 1.0, 1.0, *[np.deg2rad(0.2)] * 3])  # mm, rad: of a camera's pose
 LIKELIER = 20.0  # by how much a camera that is named lowers chi^2, and more than the others
+NO_HEIGHT = 1e-9  # mm of the sheet by 1 mm of a camera
 LEAST_MOVED_MM = 0.005  # of places: a calibration is no surer; without a move 0.002 mm were fitted
 Floats = NDArray[np.float64]
 
@@ -59,7 +60,9 @@ class SheetByViews:
     moved_mm : float
         By how much its places on the plane are off (rms).
     unseen : ndarray of float64, shape (6,), optional
-        Moves [mm] and turns [rad] of either camera that would not be noticed, each alone.
+        Moves [mm] and turns [rad] of either camera below which it is not named, each alone.
+    as_height : ndarray of float64, shape (6,)
+        Heights of the sheet [mm] for which 1 mm or 1 rad of each is taken, of the camera where it is less.
     """
 
     plane: Floats
@@ -70,6 +73,13 @@ class SheetByViews:
     moved: tuple[int, ...] = ()
     moved_mm: float = 0.0
     unseen: Floats | None = None
+    as_height: Floats = field(default_factory=lambda: np.zeros(6))
+
+    def least_noticed(self, height_mm: float) -> Floats | None:
+        """Return the least of each number (6,) at which a camera is named or the sheet seems off by the height."""
+        if self.unseen is None:
+            return None
+        return np.minimum(self.unseen, height_mm / np.maximum(self.as_height, NO_HEIGHT))
 
     def sheet(self, known: LightSheet) -> LightSheet:
         """Return the sheet, for frames that were corrected for the known one."""
@@ -116,7 +126,9 @@ def name_moved(
     if alone[0] - costs[best] < enough or moved_mm < LEAST_MOVED_MM:
         least = [_least_moves(*part, enough / independent) for part in parts]
         shown = [np.sqrt(np.square(one).reshape(-1, 2, 6).sum(axis=1).mean(axis=0)) for one in of_poses]
-        return replace(found, unseen=POSE_SIGMA * np.maximum(least, LEAST_MOVED_MM / np.array(shown)).max(axis=0))
+        unseen = POSE_SIGMA * np.maximum(least, LEAST_MOVED_MM / np.array(shown)).max(axis=0)
+        height = np.min([np.abs(np.linalg.lstsq(*part)[0][0]) for part in parts], axis=0) / POSE_SIGMA
+        return replace(found, unseen=unseen, as_height=height)
     return replace(found, moved=tuple(np.flatnonzero(costs - costs[best] < enough).tolist()), moved_mm=moved_mm)
 
 

@@ -42,6 +42,7 @@ STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of
 TOO_FAR_APART = (
     "that is more than chance: another flow, or a part that is too blurred to be measured in one of them"
 )
+FARTHEST = 10.0  # mm, mrad: beyond it a move of a camera is not linear
 SHEET_ROUNDS = 2
 MIN_TWICE_WINDOWS = 4  # windows of places seen twice, from which these are a view
 APART = (
@@ -53,8 +54,8 @@ MOVED = (
     " again"
 )
 UNSEEN = (
-    "a camera moved by less than {:.2g}, {:.2g}, {:.2g} mm along x, y, z or turned by less than {:.2g}, {:.2g},"
-    " {:.2g} mrad about them since its calibration would not be noticed"
+    "a camera moved by less than {}, {}, {} mm along x, y, z or turned by less than {}, {}, {} mrad about them"
+    " since its calibration would most likely not be noticed"
 )
 ELSEWHERE = (
     "the light sheet lies {:+.3f} +- {:.3f} mm from where the scenes have it, or a camera does not stand where it"
@@ -229,7 +230,7 @@ def show_contradictions(
     screen: Console, found: SheetByViews, paths: Sequence[Path], known: LightSheet | None = None
 ) -> None:
     """Say where frames of views do not fit together; `known` is the sheet, unless the found one is used."""
-    said = list[str]()
+    said, height_mm = list[str](), np.inf
     if found.residual_sigma > STRANGERS:
         said.append(APART.format(found.residual_mm, found.residual_sigma))
     if found.moved:
@@ -237,12 +238,16 @@ def show_contradictions(
         said.append(MOVED.format(named, found.moved_mm))
     elif known is not None:
         z_mm, sigma_mm = float(found.plane[0]), float(np.hypot(found.covariance[0, 0] ** 0.5, known.sigma_mm))
-        if abs(z_mm) > SHEET_SIGMAS * sigma_mm:
+        height_mm = SHEET_SIGMAS * sigma_mm
+        if abs(z_mm) > height_mm:
             said.append(ELSEWHERE.format(z_mm, sigma_mm))
     for line in said:
         screen.print(line, style="bold red", soft_wrap=True)
-    if found.unseen is not None:
-        screen.print(UNSEEN.format(*found.unseen[:3], *(1e3 * found.unseen[3:])), soft_wrap=True)
+    # A sheet that is measured takes up what a move along the difference of slopes changes.
+    least = found.least_noticed(height_mm)
+    if least is not None:
+        shown = ("any amount" if one > FARTHEST else f"{one:.2g}" for one in least * ([1.0] * 3 + [1e3] * 3))
+        screen.print(UNSEEN.format(*shown), soft_wrap=True)
 
 
 def show_moves(screen: Console, found: Moves, pairs: Sequence[str], scenes: int = 0) -> None:

@@ -130,3 +130,29 @@ def test_a_shift_that_no_ball_shows_names_both():
     rates[:, 0, 0] = rates[:, 1, 1] = 1.0
     data = place, apart + np.array([0.0, 0.1]), sigma, slope
     assert name_moved(fit_sheet(*data, 1.0), data, [rates, -rates], 1.0).moved == (0, 1)
+
+
+def test_a_move_that_looks_like_another_height_of_the_sheet_is_noticed_by_that():
+    rng = np.random.default_rng(13)
+    place, apart, sigma, slope = disparity(rng, slope_spread=0.0)
+    rates = np.zeros((len(place), 2, 6))
+    rates[:, 0, 0] = rates[:, 1, 1] = 1.0
+    rates[:, :, 2] = -place / 500.0
+    rates[:, 0, 4], rates[:, 1, 3] = 500.0, -500.0
+    rates[:, 0, 5], rates[:, 1, 5] = -place[:, 1], place[:, 0]
+    of_views = [rates, -rates]
+
+    def seen(shift_mm):
+        data = place, apart + np.array([shift_mm, 0.0]), sigma, slope
+        return name_moved(fit_sheet(*data, 1.0), data, of_views, 1.0)
+
+    quiet, height_mm = seen(0.0), 0.2
+    assert quiet.unseen[0] > 1e3  # no pose explains it better than the sheet
+    least = quiet.least_noticed(height_mm)
+    assert least[0] == pytest.approx(0.3 * height_mm, rel=0.01)  # slopes that differ by 0.3
+    assert least[1] == quiet.unseen[1] < 0.01
+    for times in (0.9, 1.1):
+        moved = seen(times * least[0])
+        assert moved.moved == ()
+        assert (abs(moved.plane[0] - quiet.plane[0]) > height_mm) == (times > 1.0)
+    np.testing.assert_array_equal(quiet.least_noticed(np.inf), quiet.unseen)

@@ -103,8 +103,8 @@ def test_the_view_that_disagrees_is_named():
 def test_views_that_contradict_each_other_are_named(capsys):
     paths, sure = [Path("left"), Path("right")], LightSheet(sigma_mm=0.02)
 
-    def said(known, z_mm=0.3, residual=1.2, moved=()):
-        found = SheetByViews(np.array([z_mm, 0.0, 0.0]), 1e-6 * np.eye(3), 0.02, residual, 100, moved, 0.1)
+    def said(known, z_mm=0.3, residual=1.2, moved=(), **more):
+        found = SheetByViews(np.array([z_mm, 0.0, 0.0]), 1e-6 * np.eye(3), 0.02, residual, 100, moved, 0.1, **more)
         show_contradictions(console(), found, paths, known)
         return " ".join(capsys.readouterr().out.split())
 
@@ -113,6 +113,9 @@ def test_views_that_contradict_each_other_are_named(capsys):
     assert "0.020 mm apart (3.0 sigma)" in said(sure, z_mm=0.0, residual=3.0)
     assert said(sure, moved=(1,)).startswith("the camera of view 2 (right) was moved since it was calibrated")
     assert "of view 1 (left) or view 2 (right) was moved" in said(sure, moved=(0, 1))
+    alone = {"unseen": np.array([1e9, 1e-2, 0.1, 1e-5, 1e-3, 1e-4]), "as_height": np.array([3.0, 0, 0, 0, 0, 0])}
+    assert "less than 0.027, 0.01, 0.1 mm" in said(sure, z_mm=0.0, **alone)
+    assert "less than any amount, 0.01, 0.1 mm along" in said(None, **alone)
 
 
 def test_cameras_of_one_run_are_at_the_same_time(tmp_path):
