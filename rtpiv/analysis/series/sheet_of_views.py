@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from tracer.light_sheet import LightSheet
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.strategies.sensitivity import landings
 
+# By this frames of two views are set apart, half of it each: what both show at one place is no static light.  More
+# than the picture of a particle in a sheet seen at 41 degrees, less than a quarter of the first windows.
+APART_PX = 8
 MOST_FRAMES, CHECKED_FRAMES = 100, 10  # that are compared, of both pulses, to measure the sheet; and to check it
 # Of all disparities: two balls, 50 pairs: the sheet came out 0.002 mm off, which is 0.002 px
 COMMON_PX = 0.003
@@ -121,21 +125,29 @@ def _frames(series: SeriesInput) -> Iterator[NDArray[np.float32] | str]:
 def _disparities(first: SeriesInput, other: SeriesInput, count: int) -> Iterator[tuple[Floats, Floats] | str]:
     """Displacements (ny, nx, 2) [px], y up, from one view to another, frame by frame, and their uncertainty."""
     seen = [correction_of(each.out / "maps", each.method).corrector.recovered for each in (first, other)]
-    valid = seen[0] & seen[1]
+    half = APART_PX // 2
+    valid = _aside(seen[0] & seen[1], -half, False) & _aside(seen[0] & seen[1], half, False)
     settings = replace(first.method.settings, denoise=0.0)  # what glass does has detail that is weaker than noise
     frames = zip(islice(_frames(first), count), islice(_frames(other), count), strict=True)
     for a, b in progress(frames, count, "comparing the views"):
         try:
             if isinstance(a, str) or isinstance(b, str):
                 raise FrameError(a if isinstance(a, str) else str(b))
-            field = evaluate_pair(a, b, valid, settings)
+            field = evaluate_pair(_aside(a, -half, np.nan), _aside(b, half, np.nan), valid, settings)
         except (PairError, FrameError) as error:
             yield str(error)
             continue
-        uv = np.stack((field.u_px, -field.v_px), axis=-1)
+        uv = np.stack((field.u_px - APART_PX, -field.v_px), axis=-1)
         uv = np.where(field.valid[..., None], uv, np.nan)
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
         yield uv, sigma
+
+
+def _aside(frame: NDArray[Any], columns: int, beyond: float) -> NDArray[Any]:
+    """Return a frame (H, W) shifted along its rows, with another value where nothing was."""
+    shifted = np.roll(frame, columns, axis=1)
+    shifted[:, slice(0, columns) if columns > 0 else slice(columns, None)] = beyond
+    return shifted
 
 
 def _disparity(first: SeriesInput, other: SeriesInput, most: int) -> tuple[Floats, Floats]:
