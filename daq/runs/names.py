@@ -17,3 +17,9 @@ def main_run(path: Path) -> Path:
     """Return the run that the folder of a further camera lies in; of any other folder itself."""
     path = Path(os.path.realpath(path))  # unlike `resolve`, no error at a loop of links
     return path.parents[1] if path.parent.name == CAMERAS else path
+
+
+def camera_of(path: Path) -> str:
+    """Return the name of the further camera whose folder in a run it is; "" of any other folder."""
+    path = Path(os.path.realpath(path))
+    return path.name if path.parent.name == CAMERAS else ""

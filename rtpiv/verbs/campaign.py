@@ -16,7 +16,14 @@ from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, adopt, ask_for, trial
 from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
-from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, require_finished
+from rtpiv.analysis.campaign.merge import (
+    INDEX,
+    STATISTICS,
+    CampaignMean,
+    merge_campaign,
+    require_finished,
+    statistics_of,
+)
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.chunk import evaluate_chunk
@@ -174,13 +181,20 @@ def _option(text: str) -> tuple[str, str | int]:
     return name, int(value) if value.isdecimal() else value
 
 
-def _show_merged(folder: CampaignFolder, merged: CampaignMean) -> None:
+def _show_merged(folder: CampaignFolder, merged: CampaignMean, camera: str = "") -> None:
     screen = console()
-    screen.print(f"{quantity(merged.mean.used, 'pair')} in the mean, {len(merged.mean.left_out)} left out")
+    of_camera = f" of the camera {camera}" if camera else ""
+    screen.print(
+        f"{quantity(merged.mean.used, 'pair')} in the mean{of_camera}, {len(merged.mean.left_out)} left out"
+    )
     for warning in merged.mean.warnings:
         screen.print(warning, style="bold red")
     for name, apart in merged.apart.items():
         if apart > STRANGERS:
             text = f"{name} differs from the mean of all by {apart:.1f} sigma (rms): another flow, or another view"
             screen.print(text, style="bold red")
-    screen.print(f"wrote {folder.path / STATISTICS} and {folder.path / INDEX}")
+    screen.print(
+        f"wrote {folder.path / (statistics_of(camera) if camera else STATISTICS)} and {folder.path / INDEX}"
+    )
+    for name, beside in merged.cameras.items():
+        _show_merged(folder, beside, name)

@@ -13,7 +13,7 @@ from correction.grid import PlaneGrid, grid_of
 from correction.light_sheet.two_cameras import SheetByViews
 from correction.node_status import NodeStatus
 from daq.errors import RunUsageError
-from daq.runs.names import main_run
+from daq.runs.names import is_run, main_run
 from ground.terminal import console
 from piv.errors import PairError
 from piv.statistics.three_components import MAX_SIGMA_W_PX
@@ -321,8 +321,9 @@ def _differ_in_focus(seen: Sequence[tuple[Scene, bool]]) -> bool:
 
 
 def _is_one_run(paths: Sequence[Path]) -> bool:
-    """Return whether all are cameras of one run, or their series."""
-    return len({main_run(path.resolve().parent if (path / FILE).is_file() else path) for path in paths}) == 1
+    """Return whether all are cameras of one run, or their series; series beside each other may be of any runs."""
+    places = {main_run(path.resolve().parent if (path / FILE).is_file() else path) for path in paths}
+    return len(places) == 1 and (is_run(places.pop()) or not any((path / FILE).is_file() for path in paths))
 
 
 def _join_focus(screen: Console, series: Sequence[SeriesView], out: Path) -> JoinedMean:

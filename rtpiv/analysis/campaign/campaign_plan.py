@@ -24,7 +24,7 @@ from correction.maps.correction_map import STORED_BYTES
 from daq.atomic_write import copy_whole, why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.frames.source import is_source
-from daq.runs.names import is_run, main_run
+from daq.runs.names import camera_of, is_run, main_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import scene_file
 from ground.plain_words import quantity
@@ -189,11 +189,6 @@ def ask_for(
             raise PairError("what its camera looked through is not known", place=run, cure="give --scene")
         if settings.dt_us is None:
             raise PairError("the time between the frames of a pair is not known", place=run, cure="give --dt-us")
-    if len(set(map(main_run, runs))) < len(runs):
-        raise SeriesError(
-            "these are cameras of one run, whose views a mean of runs would mix; join them: rtpiv mean --join"
-            f" {' '.join(map(str, runs))}"
-        )
     names = _names(runs)
     for place, (name, run) in enumerate(zip(names, runs, strict=True)):
         out = folder.series(name).path
@@ -331,10 +326,11 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
 
 
 def _names(runs: Sequence[Path]) -> list[str]:
-    """A name for each run: that of its folder, with a number where several share it."""
+    """A name for each run: that of its folder and further camera, with a number where several share it."""
     names: list[str] = []
     for run in runs:
-        name, number = re.sub(r"[^\w.+-]+", "-", Path(os.path.realpath(run)).name).strip("-."), 1
+        whole = "-".join(filter(None, (main_run(run).name, camera_of(run))))
+        name, number = re.sub(r"[^\w.+-]+", "-", whole).strip("-."), 1
         if not name:
             raise RunUnsuitable(f"{run}: a run needs a folder with a name")
         own = name

@@ -15,8 +15,9 @@ import io
 import json
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from daq.atomic_write import write_text
 from daq.errors import Unfinished
 from daq.runs.lab_readings import merge_readings, readings_attribute
+from daq.runs.names import camera_of
 from ground.plain_words import quantity
 from ground.short_repr import short_repr
 from piv.errors import SeriesError
@@ -55,14 +57,19 @@ class CampaignMean:
     apart : dict of str to float
         Of each run: its mean off that of all, over the sigma of that difference, root mean square over places; NaN
         of a single run.
+    cameras : dict of str to CampaignMean
+        The same of each other camera, by its name.
     """
 
     mean: MeanFlow
     apart: dict[str, float]
+    cameras: dict[str, "CampaignMean"] = field(default_factory=dict)
 
 
 def merge_campaign(folder: CampaignFolder) -> CampaignMean:
-    """Average every run, then all of them; write mean.nc into each series, and campaign.nc and index.csv.
+    """Average every run, then all of each camera; write mean.nc into each series, and campaign.nc and index.csv.
+
+    Runs of further cameras are averaged among themselves, into campaign-NAME.nc.
 
     Raises
     ------
@@ -81,6 +88,20 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     for view, mean in zip(views, means, strict=True):
         write_mean(view, mean)
     write_index(folder)
+    by_camera = dict[str, list[int]]()
+    for number, run in enumerate(folder.about["runs"]):
+        by_camera.setdefault(camera_of(Path(run["path"])), []).append(number)
+    parts = dict[str, CampaignMean]()
+    for camera, chosen in by_camera.items():
+        runs = [(names[number], views[number], means[number]) for number in chosen]
+        parts[camera] = _merge_runs(folder.path / (statistics_of(camera) if parts else STATISTICS), runs)
+    first, *others = parts
+    return replace(parts[first], cameras={camera: parts[camera] for camera in others})
+
+
+def _merge_runs(file: Path, runs: Sequence[tuple[str, SeriesView, MeanFlow]]) -> CampaignMean:
+    """Average the runs of a camera and write their statistics."""
+    names, views, means = zip(*runs, strict=True)
     merged = merge_means(names, means)
     scenes = [view.about["content"]["correction"] for view in views]
     about = {"runs": " ".join(names), "corrections": " ".join(scenes), "rtpiv_version": version("rtpiv")}
@@ -91,8 +112,13 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     about |= readings_attribute(merge_readings(apart.values()))
     if apart:
         about["readings_of_runs"] = json.dumps(apart)
-    write_statistics(folder.path / STATISTICS, mean_vectors(merged.mean, about))
+    write_statistics(file, mean_vectors(merged.mean, about))
     return merged
+
+
+def statistics_of(camera: str) -> str:
+    """Return the name of the file of statistics of another camera than the first."""
+    return f"campaign-{camera}.nc"
 
 
 def _run_again(folder: CampaignFolder) -> str:

@@ -4,10 +4,6 @@ import pytest
 
 from daq.errors import RunUsageError
 from daq.runs.run_folder import RunFolder
-from piv.errors import SeriesError
-from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import ask_for
-from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.command_line.cli import USAGE, main
 from rtpiv.verbs.paths import one_of
 from tests.daq.small_run import about_run, planned
@@ -50,9 +46,6 @@ def test_cameras_of_one_run_are_no_choice(tmp_path):
     side = begun(first / "cameras", "side", "flow", done=True)
     with pytest.raises(RunUsageError, match=f"cameras of one run.*mean --join {first} {side}"):
         one_of([first, side])
-    with pytest.raises(SeriesError, match="cameras of one run"):
-        ask_for(CampaignFolder(tmp_path / "campaign"), [first, side], piv_choice())
-    assert not (tmp_path / "campaign").exists()
 
 
 @pytest.mark.parametrize("verb", ["report", "mean", "calibrate", "focus"])

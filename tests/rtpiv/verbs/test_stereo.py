@@ -124,10 +124,15 @@ def test_cameras_of_one_run_are_at_the_same_time(tmp_path):
     for folder in (run / "series", beside / "series"):
         folder.mkdir(parents=True)
         (folder / "series.json").touch()
+    (run / "run.json").touch()
     assert _is_one_run([run, beside])
     assert _is_one_run([beside, other])
     assert _is_one_run([run / "series", beside / "series"])
     assert not _is_one_run([run, tmp_path / "another"])
+    for name in ("left", "right"):  # such as two runs of a campaign
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "series.json").touch()
+    assert not _is_one_run([tmp_path / "left", tmp_path / "right"])
 
 
 def test_scenes_are_as_many_as_views(tmp_path, capsys):

@@ -14,6 +14,7 @@ from daq.errors import DiskError, RunUnsuitable, Unfinished
 from ground.errors import ConfigError
 from piv.correlation.settings import PivSettings
 from piv.errors import SeriesError
+from piv.files.vector_file import read_vectors
 from piv.statistics.out_of_plane import OutOfPlane
 from rtpiv.analysis.campaign import campaign_plan
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder, campaign_status, choice_of
@@ -258,6 +259,28 @@ def test_what_is_no_campaign_is_one_sentence(tmp_path):
 
 
 @pytest.mark.slow
+def test_further_cameras_are_averaged_among_themselves(tmp_path):
+    """The side camera sees another displacement: it is no part of the mean of the first, and fits no worse."""
+    runs = two_runs(tmp_path / "taken", (3, 2))
+    for run in runs:
+        side = flow_run(run / "cameras", 2, shift=lambda n: (3.0, 1.0))
+        side.rename(run / "cameras" / "side")
+    every = [runs[0], *(run / "cameras" / "side" for run in runs), runs[1]]
+    folder = planned(tmp_path / "out", every, chunk=8)
+    assert [run["name"] for run in folder.about["runs"]] == ["one", "one-side", "two-side", "two"]
+    carried_out(folder)
+    merged = merge_campaign(folder)
+    beside = merged.cameras["side"]
+    assert (merged.mean.used, beside.mean.used) == (5, 4)
+    assert set(merged.apart) == {"one", "two"}
+    assert set(beside.apart) == {"one-side", "two-side"}
+    px = [np.nanmedian(each.mean.mean_m_s[..., 0]) * each.mean.px_per_m_s for each in (merged, beside)]
+    assert px == pytest.approx([2.0, 3.0], abs=0.05)
+    kept = read_vectors((folder.path / "campaign-side.nc").read_bytes())
+    np.testing.assert_allclose(kept.fields["u"][0], beside.mean.mean_m_s[..., 0], rtol=1e-5)
+    np.testing.assert_array_equal(beside.mean.x_mm, merged.mean.x_mm)  # one grid: `mean --join` takes their series
+
+
 def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
     """Ten pairs of one flow and six of one that is faster by 0.3 px."""
     one, two = two_runs(tmp_path / "same", (6, 6))
