@@ -58,7 +58,7 @@ class SheetByViews:
     moved : tuple of int
         Numbers of the views, from 0, of which one has a camera that does not stand where it was calibrated.
     moved_mm : float
-        By how much its places on the plane are off (rms).
+        By how much its places on the plane are off at least (rms), beside what another sheet explains.
     unseen : ndarray of float64, shape (6,), optional
         Moves [mm] and turns [rad] of either camera below which it is not named, each alone.
     as_height : ndarray of float64, shape (6,)
@@ -120,7 +120,10 @@ def name_moved(
     )
     costs = np.array([cost for cost, _ in fits])
     best = int(np.argmin(costs))
-    moved_mm = float(np.sqrt(np.square((of_poses[best] @ fits[best][1]).reshape(-1, 2)).sum(axis=1).mean()))
+    # Of its change only what no sheet explains is known: a shift, a turn and a height may be as large as they like.
+    shift, height_of = of_poses[best] @ fits[best][1], parts[best][0]
+    left = shift - sheet @ np.linalg.lstsq(height_of, shift / unsure)[0]
+    moved_mm = float(np.sqrt(np.square(left.reshape(-1, 2)).sum(axis=1).mean()))
     # Disparities that scatter more than is stated for them vary by as much more with each number that is fitted.
     enough = LIKELIER * max(1.0, costs[best] / (independent * len(values)))
     if alone[0] - costs[best] < enough or moved_mm < LEAST_MOVED_MM:

@@ -50,8 +50,8 @@ APART = (
     " stand where it was calibrated"
 )
 MOVED = (
-    "the camera of {} was moved since it was calibrated: what it shows is {:.3f} mm from its place; calibrate it"
-    " again"
+    "the camera of {} was moved since it was calibrated, or its calibration is worse than frames compare: what it"
+    " shows is at least {:.3f} mm from its place; calibrate the cameras again, together (rtpiv calibrate --join)"
 )
 UNSEEN = (
     "a camera moved by less than {}, {}, {} mm along x, y, z or turned by less than {}, {}, {} mrad about them"
