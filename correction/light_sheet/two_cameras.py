@@ -120,7 +120,7 @@ def name_moved(
     )
     costs = np.array([cost for cost, _ in fits])
     best = int(np.argmin(costs))
-    # Of its change only what no sheet explains is known: a shift, a turn and a height may be as large as they like.
+    # Only what no sheet explains is known of its change: a shift, a turn and a height replace each other.
     shift, height_of = of_poses[best] @ fits[best][1], parts[best][0]
     left = shift - sheet @ np.linalg.lstsq(height_of, shift / unsure)[0]
     moved_mm = float(np.sqrt(np.square(left.reshape(-1, 2)).sum(axis=1).mean()))

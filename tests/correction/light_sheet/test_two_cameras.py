@@ -111,7 +111,7 @@ def test_the_camera_that_was_moved_is_named(view, change):
     found = name_moved(alone, (place, apart, sigma, slope), signed, 1.0)
     assert found.moved == (view,)
     shift = np.sqrt(np.square(rates[view] @ np.array(change, float)).sum(axis=1).mean())
-    assert 0.5 * shift < found.moved_mm < 1.3 * shift  # a sheet at another height explains a part of a move along x
+    assert 0.5 * shift < found.moved_mm < 1.3 * shift  # another sheet explains a part of it
 
 
 def test_no_camera_is_named_without_cause():
