@@ -28,6 +28,7 @@ from tracer.errors import SceneError
 UNMEASURED_MM, UNMEASURED_DEG = 0.5, 0.5  # a sheet that was set up by eye
 STEEPEST_DEG = 30.0
 WIDEST_FAN_DEG = 120.0
+FARTHEST = 3.2  # standard deviations of a Gaussian that are traced
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,25 @@ class SheetSource:
     def bend_per_mm(self) -> float:
         """One over the distance from the apex of the fan to the origin; 0 for parallel light."""
         return 2.0 * float(np.tan(np.deg2rad(0.5 * self.fan_deg))) / self.width_mm
+
+    @property
+    def comes_from(self) -> NDArray[np.float64]:
+        """Unit vector (3,) towards the source."""
+        angle = np.deg2rad(self.from_deg)
+        return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+    @property
+    def half_mm(self) -> float:
+        """Half of the width that is traced, at the origin."""
+        return self.width_mm * (0.25 * FARTHEST if self.gaussian else 0.5)
+
+    def meets(self, corners_mm: NDArray[np.float64]) -> bool:
+        """Return whether the light would cross a quadrangle of corners (4, 2 or 3) if there were no bodies."""
+        x, y = corners_mm[:, 0], corners_mm[:, 1]
+        cos, sin, _ = self.comes_from
+        across, along = cos * y - sin * x, cos * x + sin * y
+        reach = self.half_mm * (1.0 + self.bend_per_mm * float(np.abs(along).max()))
+        return bool(across.min() < reach and across.max() > -reach)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from correction.maps.correction_map import CorrectionMap, nodes_in_glass
 from correction.maps.light_height import LEVEL_MM, at_light
 from correction.node_status import NodeStatus
 from tracer.bodies import CONTACT_TOL_MM
-from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.strategies.light_map import LightMap, trace_light
 
@@ -88,13 +87,10 @@ def light_of(scene: Scene, grid: PlaneGrid) -> PlaneLight | None:
     Raises
     ------
     SceneError
-        No light reaches the nodes, or all of them lie in glass.
+        No light reaches the nodes.
     """
     if scene.light is None:
         return None
-    inside = nodes_in_glass(scene, grid)
-    if inside is not None and inside.all():
-        raise SceneError("the light sheet lies wholly in glass within the view; correct its z_mm or the bodies")
     every = -(-max(grid.shape) // MOST_NODES)
     coarse = grid.every(every)
     light = trace_light(scene, scene.light, coarse.origin_mm, coarse.pitch_mm, coarse.shape)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.config import Place, open_document, validate
-from ground.errors import Problem
+from ground.errors import ConfigError, Problem
 from ground.plain_words import slip
 from ground.usual import Usual, plausibility_questions, question
 from tracer.bodies import Body, Sphere
@@ -58,12 +58,15 @@ def scene_questions(path: Path | str) -> list[str]:
     Raises
     ------
     ConfigError
-        The file is wrong.
+        The file is wrong, or no light of its sheet reaches the view.
     """
     document = open_document(path)
     table = validate(document, SceneTable)
     scene = scene_from(document, table)
-    related = [*_camera_asked(table, scene), *_bodies_asked(scene), *_sheet_asked(scene)]
+    try:
+        related = [*_camera_asked(table, scene), *_bodies_asked(scene), *_sheet_asked(scene)]
+    except SceneError as error:  # bodies keep the light from the view
+        raise ConfigError(path, [Problem(document.line(("sheet",)), f"sheet: {error}")]) from None
     asked = [*plausibility_questions(document, table), *(Problem(document.line(at), text) for at, text in related)]
     return [f"{path}:{one.line}: {one.text}" for one in sorted(asked, key=lambda one: one.line)]
 
@@ -180,18 +183,17 @@ def _sheet_asked(scene: Scene) -> Asked:
     sheet, seen_mm = scene.sheet, _field_of_view_mm(scene.camera)
     if sheet is None:
         return
-    in_bed = False
     try:
         lit = scene.in_light_sheet()
-        in_bed = bool(lit.spheres_in_plane and sheet.sources)
-        if sheet.sources:
-            from correction.grid import grid_of  # compiled kernels, for scenes that need them
-            from correction.maps.lit import light_of
-
-            light_of(lit, grid_of(lit.camera).every(-(-max(lit.camera.sensor_px) // LIGHT_NODES)))
-    except SceneError as error:
+    except SceneError as error:  # bodies may stand elsewhere while the sheet is on
         yield ("sheet",), f"sheet: {error}"
         return
+    in_bed = bool(lit.spheres_in_plane and sheet.sources)
+    if sheet.sources:
+        from correction.grid import grid_of  # compiled kernels, for scenes that need them
+        from correction.maps.lit import light_of
+
+        light_of(lit, grid_of(lit.camera).every(-(-max(lit.camera.sensor_px) // LIGHT_NODES)))
     if abs(sheet.z_mm) > SHEET_Z * seen_mm and not in_bed:
         text = f"is z_mm {sheet.z_mm:g} right, {abs(sheet.z_mm) / seen_mm:.1%} of what the camera sees?"
         yield ("sheet", "z_mm"), f"sheet: {text}"

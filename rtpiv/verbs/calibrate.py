@@ -114,7 +114,7 @@ def calibrate(
             kind = "" if board else "describe a board of another kind, such as ChArUco or dots, by --board; "
             raise ViewsMissing(error, cure=f"{kind}or, of a board on a stage, name the frames {WANTED}") from None
     nominal, priors = nominal_scene(folder, path_of(scene))
-    nominal.in_light_sheet()  # a sheet wholly in glass is refused before the fit, not by the map after it
+    nominal.in_light_sheet()  # a sheet that runs through a rod or window is refused before the fit
     target = board_of([folder], square_mm, disc_mm, path_of(board))
     frames = target_frames(folder, nominal.camera.shape)
     made_from = dict.fromkeys((*FITTED, *(DRAWN if pictures else ())), folder)

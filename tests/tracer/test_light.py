@@ -340,7 +340,7 @@ def test_a_rod_casts_a_shadow() -> None:
 
 def test_nowhere() -> None:
     sheet = LightSheet(thickness_mm=1.0, sources=(SheetSource(0.0, 10.0),))
-    with pytest.raises(SceneError, match="never reaches the view"):
+    with pytest.raises(SceneError, match="no light of the sheet reaches the view"):
         trace_light(of(ONE), sheet, (50.0, 50.0), 1.0, (9, 9))
 
 

@@ -30,7 +30,7 @@ from tracer.light_sheet import LightSheet
 from tracer.masked import LEFT_OUT, MaskedPart
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.scene.rooms import Arrangement
-from tracer.scene.view import bodies_around_view
+from tracer.scene.view import sheet_problem
 
 BETWEEN_FACES = "-"  # in the name of a way through a block
 DEEPEST_CUT_MM = 1.0  # that a light sheet may run into a body which touches the target's plane
@@ -158,18 +158,16 @@ class Scene:
         Raises
         ------
         SceneError
-            The sheet runs through a body, lies in one as far as it is seen, or lies behind the camera.
+            The sheet runs through a body, or nothing can be seen in it: it lies in glass or behind the camera, or
+            its light passes beside the view.
         """
         sheet = self.sheet
         if sheet is None:
             return self
         light = sheet if sheet.sources else None
-        if sheet.is_target_plane:
-            return replace(self, sheet=None, cut_mm=DEEPEST_CUT_MM, light=light)
-        camera = self.camera
-        first, second, third = (vector3(row) for row in camera.rotation_matrix @ sheet.axes().T)
-        moved = replace(camera, position_mm=sheet.place(camera.position_mm), rotation=(first, second, third))
-        bodies = tuple(body.moved(sheet.place) for body in self.bodies)
+        camera, bodies = self._in_sheet
+        if problem := sheet_problem(camera, bodies, sheet):
+            raise SceneError(problem)
         deep = [b for b in bodies if b.lowest_mm < -DEEPEST_CUT_MM and not b.may_cross_plane]
         cut = [b for b in deep if b.highest_mm > CONTACT_TOL_MM]
         if cut:
@@ -178,14 +176,28 @@ class Scene:
                 f"the light sheet at z = {sheet.z_mm:g} mm runs through {names}; put the bodies where they stood"
                 " while the sheet was on, or correct z_mm and the tilt of the sheet"
             )
-        for body in bodies_around_view(moved, bodies):
-            raise SceneError(
-                f"all that the camera sees of the light sheet at z = {sheet.z_mm:g} mm lies inside body"
-                f" {body.name!r}; correct z_mm or the body"
-            )
-        return Scene(
-            moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM, masked=self.masked, light=light
-        )  # fmt: skip
+        return replace(self, camera=camera, bodies=bodies, sheet=None, cut_mm=DEEPEST_CUT_MM, light=light)
+
+    @property
+    def unseen_sheet(self) -> str:
+        """Why the camera can see nothing in the light sheet, as a sentence; empty if it may."""
+        try:
+            return "" if self.sheet is None else sheet_problem(*self._in_sheet, self.sheet)
+        except SceneError as error:
+            return str(error)
+
+    @cached_property
+    def _in_sheet(self) -> tuple[Camera, tuple[Body, ...]]:
+        """Camera and bodies in the coordinates of the light sheet, which there is."""
+        sheet, camera = self.lit, self.camera
+        if sheet.is_target_plane:
+            return camera, self.bodies
+        position_mm = sheet.place(camera.position_mm)
+        if not position_mm[2] > 0.0:
+            raise SceneError(f"a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?")
+        first, second, third = (vector3(row) for row in camera.rotation_matrix @ sheet.axes().T)
+        moved = replace(camera, position_mm=position_mm, rotation=(first, second, third))
+        return moved, tuple(body.moved(sheet.place) for body in self.bodies)
 
     def sphere_table(self) -> NDArray[np.float64]:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""

@@ -96,12 +96,11 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
         masked += _attempt(described, document.line(("masked", index)), problems) or ()
     scene = None
     if camera is not None:
-        if sheet is not None and not sheet.place(camera.position_mm)[2] > 0.0:
-            text = f"sheet: a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?"
-            problems.append(Problem(document.line(("sheet",)), text))
         try:
             placed, steps_mm = separate_touching(bodies, table.fit)
             scene = Scene(camera, placed, table.wavelength_nm, ambient or VACUUM, sheet, masked=tuple(masked))
+            if text := scene.unseen_sheet:
+                problems.append(Problem(document.line(("sheet",)), f"sheet: {text}"))
             if steps_mm:
                 each = ", ".join(f"{name} by {step:.2g} mm" for name, step in steps_mm.items())
                 say_once(

@@ -12,6 +12,7 @@ import numpy as np
 
 from tracer.bodies import Body
 from tracer.camera import Camera
+from tracer.light_sheet import LightSheet
 
 COARSEST_PX = 0.1  # what a mesh may be off in the picture of the plane
 LEAST_ANGLE_DEG = 5.0  # between axis and plane; PIV through glass is rarely done below 45
@@ -19,6 +20,7 @@ REACHES_MM = 1e-6
 FARTHEST_MM = 1e5  # a hundred metres: no lab is longer
 FEWEST_PX = 16  # along the longer side of a sensor
 MOST_DISTORTED = 100.0  # distances from the axis by which lens terms may move a corner: far above any lens
+SAMPLES = 33  # along each side of a frame: gas is looked for there
 NM = 550.0  # any light will do for an estimate
 
 
@@ -53,9 +55,9 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
         text = f"the lens terms move a corner of the picture by {100.0 * share:.3g} %, which no lens does"
         problems.append(("", f"{text}; they belong to radii in units of the focal length"))
     bodies = tuple(bodies)
-    for body in bodies_around_view(camera, bodies) if angle_deg > 0.0 else ():
-        text = f"all that the camera sees of the investigation plane lies inside body {body.name!r}"
-        problems.append((body.name, f"{text}; let the plane cut the gas beside it"))
+    if angle_deg > 0.0 and (around := _bodies_around_view(camera, bodies)):
+        text = f"all that the camera sees of the investigation plane lies inside {around}"
+        problems.append(("", f"{text}; let the plane cut the gas beside it"))
     for body in bodies:
         if float(np.abs([body.capsule.start_mm, body.capsule.end_mm]).max()) > FARTHEST_MM:
             problems.append((body.name, f"body {body.name!r} is farther than {FARTHEST_MM:g} mm away; um for mm?"))
@@ -74,12 +76,40 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
     return problems
 
 
-def bodies_around_view(camera: Camera, bodies: Iterable[Body]) -> list[Body]:
-    """Return the bodies inside which all that a camera sees of z = 0 lies, so that nothing flows there."""
-    if (corners := _corners_mm(camera)) is None:
-        return []
-    able = [body for body in bodies if body.may_cross_plane and body.room is None]
-    return [body for body in able if (body.distance_mm(corners) < 0.0).all()]
+def sheet_problem(camera: Camera, bodies: Iterable[Body], sheet: LightSheet) -> str:
+    """Return why a camera can see nothing in a light sheet, as a sentence; empty if it may.
+
+    Parameters
+    ----------
+    camera, bodies
+        In the coordinates of the sheet.
+    sheet : LightSheet
+        For its sources, and to be named.
+    """
+    if around := _bodies_around_view(camera, bodies):
+        return (
+            f"all that the camera sees of the light sheet at z = {sheet.z_mm:g} mm lies inside {around}; correct"
+            " z_mm or the body"
+        )
+    places = _view_mm(camera)
+    for source in sheet.sources:
+        if places is not None and not source.meets(places):
+            return (
+                f"the light sheet from {source.from_deg:g} degrees never reaches the view; its width_mm of"
+                f" {source.width_mm:g} is about the origin: correct from_deg or width_mm"
+            )
+    return ""
+
+
+def _bodies_around_view(camera: Camera, bodies: Iterable[Body]) -> str:
+    """Names of the bodies inside which all that a camera sees of z = 0 lies, so that nothing flows there."""
+    if (places := _view_mm(camera)) is None:
+        return ""
+    inside = {body.name: body.distance_mm(places) < 0.0 for body in bodies if body.may_cross_plane}
+    if not np.any(list(inside.values()), axis=0).all():
+        return ""
+    names = [repr(name) for name, here in inside.items() if here.any()]
+    return f"{'body' if len(names) == 1 else 'bodies'} {', '.join(names)}"
 
 
 def distortion(camera: Camera) -> float:
@@ -104,10 +134,10 @@ def surface_error_px(camera: Camera, body: Body) -> float:
     return turned * math.hypot(body.highest_mm, body.lowest_mm) * px_per_mm
 
 
-def _corners_mm(camera: Camera) -> "np.typing.NDArray[np.float64] | None":
-    """Points (4, 3) of the plane z = 0 that the corners of the frame would see without glass; None beside it."""
-    width, height = camera.sensor_px
-    rays = camera.directions(np.array([(u, v) for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)]))
+def _view_mm(camera: Camera) -> "np.typing.NDArray[np.float64] | None":
+    """Points (N, 3) of the plane z = 0 all over what the frame would see without glass; None beside it."""
+    u, v = (np.linspace(-0.5, side - 0.5, SAMPLES) for side in camera.sensor_px)
+    rays = camera.directions(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     if not (rays[:, 2] < 0.0).all():
         return None
     return np.asarray(np.array(camera.position_mm) - (camera.position_mm[2] / rays[:, 2:]) * rays)

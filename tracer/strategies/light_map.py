@@ -35,13 +35,12 @@ from tracer.kernels.light_map import (
     Raster,
     light_layers,
 )
-from tracer.light_sheet import LightSheet, SheetSource
+from tracer.light_sheet import FARTHEST, LightSheet, SheetSource
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import world_of
 
 LAYERS, DIRECTIONS = 32, 3  # across the thickness: heights, and angles where the light diverges
 DIVERGING_LAYERS = 16  # heights where it does: 99 % of the nodes within 0.2 % of 32
-FARTHEST = 3.2  # standard deviations of a Gaussian that are traced
 REACH = 2.0  # thicknesses either way that count as light in the plane
 # Of the layers, each with nodes of its own: the sum has the same bits for any number of threads
 PARTS = 4
@@ -101,17 +100,10 @@ def trace_light(
     if not sheet.sources or sheet.thickness_mm is None:
         raise SceneError("the light sheet has no source; give its sources and thickness_mm")
     corner = np.array(origin_mm) + pitch_mm * (np.array([shape[1], -shape[0]]) - (1.0, -1.0))
-    (left, top), (right, bottom) = origin_mm, corner
-    corners = np.array([(left, top), (right, top), (left, bottom), (right, bottom)])
     middle, radius = 0.5 * (corner + origin_mm), 0.5 * float(np.hypot(*(corner - origin_mm)))
     nodes, powers = np.zeros((3, *shape)), np.zeros(3)
     for source in sheet.sources:
         beam = _Beam(scene, source, vector3((*middle, 0.0)), radius + 2.0 * pitch_mm)
-        if not beam.meets(corners):
-            raise SceneError(
-                f"the light sheet from {source.from_deg:g} degrees never reaches the view; its width_mm of"
-                f" {source.width_mm:g} is about the origin: correct from_deg or width_mm"
-            )
         for lit, power in _lit_parts(beam, sheet.thickness_mm, (origin_mm, pitch_mm, shape)):
             nodes += source.power * lit
             powers += source.power * power
@@ -140,8 +132,7 @@ class _Beam:
 
     def __init__(self, scene: Scene, source: SheetSource, middle_mm: Vector3, radius_mm: float) -> None:
         self.source = source
-        angle = np.deg2rad(source.from_deg)
-        comes = np.array([np.cos(angle), np.sin(angle), 0.0])
+        comes = source.comes_from
         self.axes = np.array([np.cross((0.0, 0.0, 1.0), comes), (0.0, 0.0, 1.0), comes])  # x, y, z of the light
         ends = [np.array([b.capsule.start_mm, b.capsule.end_mm]) @ self.axes.T for b in scene.bodies]
         radii = [body.capsule.radius_mm for body in scene.bodies]
@@ -155,21 +146,16 @@ class _Beam:
             rotation=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
         )
         bodies = tuple(body.moved(self._place) for body in scene.bodies)
+        for body in bodies:
+            if body.distance_mm(np.array(camera.position_mm)) < 0.0:
+                raise SceneError(
+                    f"the light sheet from {source.from_deg:g} degrees starts inside body {body.name!r}; its"
+                    " fan_deg is that of width_mm at the origin: correct them"
+                )
         self.scene = Scene(camera, bodies, scene.wavelength_nm, scene.ambient)
 
     def _place(self, point_mm: Vector3) -> Vector3:
         return vector3(self.axes @ np.array(point_mm) + (0.0, 0.0, self.floor))
-
-    @property
-    def half_mm(self) -> float:
-        """Half of the width that is traced."""
-        return self.source.width_mm * (0.25 * FARTHEST if self.source.gaussian else 0.5)
-
-    def meets(self, corners_mm: NDArray[np.float64]) -> bool:
-        """Return whether the light would cross a rectangle of corners (4, 2) if there were no bodies."""
-        x, z = corners_mm @ self.axes[0, :2], corners_mm @ self.axes[2, :2]
-        reach = self.half_mm * (1.0 + self.source.bend_per_mm * float(np.abs(z).max()))
-        return bool(x.min() < reach and x.max() > -reach)
 
     def layers(self, thickness_mm: float) -> NDArray[np.float64]:
         """Height at the focus, slope and weight (N, 3) of each layer, one in sum."""
@@ -197,7 +183,7 @@ def _lit_parts(
     bend = beam.source.bend_per_mm
     narrow = (4.0 / beam.source.width_mm) ** 2 if beam.source.gaussian else 0.0
     source = np.array([beam.back, bend, beam.source.focus_mm, narrow])
-    half = beam.half_mm
+    half = beam.source.half_mm
     places = np.linspace(-half, half, max(2, int(np.ceil(2.0 * half / (STEP_NODES * pitch))) + 1))
     layers, world = beam.layers(thickness_mm), world_of(beam.scene)
     parts = [(np.zeros((3, *shape)), np.zeros(3), layers[k::PARTS]) for k in range(PARTS)]

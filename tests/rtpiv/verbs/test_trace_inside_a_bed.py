@@ -9,16 +9,17 @@ from correction.fitted.prepared import prepare
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from daq.bench.scene_plausibility import scene_questions
+from daq.errors import RunUsageError
 from ground.errors import ConfigError
 from ground.terminal import console
 from rtpiv.analysis.gaps import gap_share
 from rtpiv.verbs.calibrate import calibrate
+from rtpiv.verbs.check import check
 from rtpiv.verbs.show import show_through
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
 from tests.slow_cases import slow
 from tests.tracer.scenes import ball, camera_at
-from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.strategies.ray_map import build_ray_map
@@ -148,22 +149,39 @@ def test_a_correction_leaves_the_dark_out(tmp_path):
     assert load_scene(written).sheet == scene.sheet
 
 
-def test_light_that_cannot_be(tmp_path):
-    path = bed(tmp_path, FROM_LEFT.replace("width_mm: 150.0", "width_mm: 1.0"))
-    aside = "L_mm: 900.0, position_mm: [0, 60, 900], look_at_mm: [0, 60, 0]"
-    path.write_text(path.read_text().replace("L_mm: 900.0", aside))
-    with pytest.raises(SceneError, match="never reaches the view"):
-        trace(path, pictures=False)
-    assert "never reaches the view" in " ".join(scene_questions(path))
-    path = bed(tmp_path, FROM_LEFT.replace("thickness_mm: 1.0, ", ""))
-    with pytest.raises(ConfigError, match="has sources and no thickness_mm"):
-        trace(path, pictures=False)
-    glass = "  - {name: whole, kind: sphere, centre_mm: [0, 0, 150], radius_mm: 100.0, material: N-BK7}"
-    path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0, {FROM_LEFT}}}\n")
-    with pytest.raises(SceneError, match="lies inside body 'whole'"):
-        trace(path, pictures=False)
-    with pytest.raises(SceneError, match="lies inside body 'whole'"):
-        calibrate(tmp_path, scene=path)  # before it looks for frames
-    path.write_text(f"{BED}{glass}\nsheet: {{z_mm: 150.0}}\n")
-    asked_now = scene_questions(path)
-    assert sum("lies inside body 'whole'" in question for question in asked_now) == 1
+ASIDE = "L_mm: 900.0, position_mm: [0, 60, 900], look_at_mm: [0, 60, 0]"
+BALL = "  - {name: whole, kind: sphere, centre_mm: [0, 0, 150], radius_mm: 100.0, material: N-BK7}"
+TUBE = (
+    "  - {name: t, kind: tube, start_mm: [-99, 0, 90], end_mm: [99, 0, 90], outer_radius_mm: 90.0,"
+    " inner_radius_mm: 20.0, material: N-BK7}"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"{BED}{BALL}\nsheet: {{z_mm: 150.0}}\n", "lies inside body 'whole'"),
+        (f"{BED}{BALL}\nsheet: {{z_mm: 150.0, {FROM_LEFT}}}\n", "lies inside body 'whole'"),
+        (f"{BED}{TUBE}\nsheet: {{z_mm: 145.0}}\n", "lies inside body 't'"),
+        (
+            BED.replace("L_mm: 900.0", ASIDE) + f"{BALL}\nsheet: {{{FROM_LEFT.replace('150.0', '1.0')}}}\n",
+            "never reaches the view",
+        ),
+        (f"{BED}{BALL}\nsheet: {{{FROM_LEFT.replace('thickness_mm: 1.0, ', '')}}}\n", "and no thickness_mm"),
+    ],
+)
+def test_light_that_cannot_be_is_refused_by_every_verb(tmp_path, text, words):
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    for verb in (trace, check, lambda file: calibrate(tmp_path, scene=file)):
+        with pytest.raises((ConfigError, RunUsageError), match=words) as refused:
+            verb(path)
+        assert len(str(refused.value).splitlines()) == 1
+
+
+def test_light_that_bodies_keep_from_the_view_is_refused(tmp_path):
+    """A fan that starts inside a ball is a fault of the light, not of the camera."""
+    path = bed(tmp_path, FROM_LEFT.replace("width_mm: 150.0", "width_mm: 5.0, fan_deg: 6.0"))
+    for verb in (trace, check):
+        with pytest.raises((ConfigError, RunUsageError), match="starts inside body 'b-10'"):
+            verb(path)
