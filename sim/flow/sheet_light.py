@@ -167,7 +167,7 @@ def count_light(
     sums, powers = np.zeros((3, *shape)), np.zeros(3)
     rng = np.random.default_rng(seed)
     for source in sources:
-        rays = _rays(source, sheet, far, int(rays_per_mm * source.width_mm), rng)
+        rays = _rays(source, sheet, far, 1 + int(rays_per_mm * source.width_mm), rng)
         leave_light(rays, world, boxes, sums, powers)
     return sums, powers
 

@@ -6,7 +6,7 @@ count for keep-out.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
     return problems
 
 
-def sheet_problem(camera: Camera, bodies: Iterable[Body], sheet: LightSheet) -> str:
+def sheet_problem(camera: Camera, bodies: Sequence[Body], sheet: LightSheet) -> str:
     """Return why a camera can see nothing in a light sheet, as a sentence; empty if it may.
 
     Parameters
@@ -93,11 +93,21 @@ def sheet_problem(camera: Camera, bodies: Iterable[Body], sheet: LightSheet) -> 
         )
     places = _view_mm(camera)
     for source in sheet.sources:
+        who = f"the light sheet from {source.from_deg:g} degrees"
         if places is not None and not source.meets(places):
             return (
-                f"the light sheet from {source.from_deg:g} degrees never reaches the view; its width_mm of"
-                f" {source.width_mm:g} is about the origin: correct from_deg or width_mm"
+                f"{who} never reaches the view; its width_mm of {source.width_mm:g} is about the origin: correct"
+                " from_deg or width_mm"
             )
+        if not source.bend_per_mm:
+            continue
+        apex_mm = source.comes_from / source.bend_per_mm
+        for body in bodies:
+            if body.distance_mm(apex_mm) < 0.0:
+                return (
+                    f"{who} starts inside body {body.name!r}; its fan_deg is that of width_mm at the origin:"
+                    " correct them"
+                )
     return ""
 
 

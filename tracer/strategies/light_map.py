@@ -146,12 +146,6 @@ class _Beam:
             rotation=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
         )
         bodies = tuple(body.moved(self._place) for body in scene.bodies)
-        for body in bodies:
-            if body.distance_mm(np.array(camera.position_mm)) < 0.0:
-                raise SceneError(
-                    f"the light sheet from {source.from_deg:g} degrees starts inside body {body.name!r}; its"
-                    " fan_deg is that of width_mm at the origin: correct them"
-                )
         self.scene = Scene(camera, bodies, scene.wavelength_nm, scene.ambient)
 
     def _place(self, point_mm: Vector3) -> Vector3:

@@ -168,6 +168,10 @@ TUBE = (
             "never reaches the view",
         ),
         (f"{BED}{BALL}\nsheet: {{{FROM_LEFT.replace('thickness_mm: 1.0, ', '')}}}\n", "and no thickness_mm"),
+        (
+            f"{BED}{BALL}\nsheet: {{z_mm: 60.0, {FROM_LEFT.replace('150.0', '2.0, fan_deg: 4.0')}}}\n",
+            "starts inside body 'whole'",
+        ),
     ],
 )
 def test_light_that_cannot_be_is_refused_by_every_verb(tmp_path, text, words):
@@ -177,11 +181,3 @@ def test_light_that_cannot_be_is_refused_by_every_verb(tmp_path, text, words):
         with pytest.raises((ConfigError, RunUsageError), match=words) as refused:
             verb(path)
         assert len(str(refused.value).splitlines()) == 1
-
-
-def test_light_that_bodies_keep_from_the_view_is_refused(tmp_path):
-    """A fan that starts inside a ball is a fault of the light, not of the camera."""
-    path = bed(tmp_path, FROM_LEFT.replace("width_mm: 150.0", "width_mm: 5.0, fan_deg: 6.0"))
-    for verb in (trace, check):
-        with pytest.raises((ConfigError, RunUsageError), match="starts inside body 'b-10'"):
-            verb(path)
