@@ -85,18 +85,24 @@ class Gaps:
         return self.recovered_mm2 / self.gas_mm2
 
     @property
+    def first(self) -> tuple[float, str]:
+        """Share of the gaps that verbs and pages begin with, 0 to 1, and its name."""
+        if self.lit is None:
+            return self.share, "of the gaps is seen"
+        return self.lit.both_mm2 / self.gas_mm2, "of the gaps is lit and seen"
+
+    @property
     def sentence(self) -> str:
         """The figure that `trace` begins with inside a bed."""
-        if self.lit is not None:
-            both_mm2 = self.lit.both_mm2
-            return (
-                f"inside a bed: {percent(both_mm2 / self.gas_mm2)} of the gaps is lit and seen"
-                f" ({both_mm2:.4g} of {self.gas_mm2:.4g} mm\u00b2):"
-                f" {percent(self.lit.lit_mm2 / self.gas_mm2)} is lit, {percent(self.share)} is seen;"
-                f" {percent(self.glass)} is glass"
-            )
-        areas = f"{self.recovered_mm2:.4g} of {self.gas_mm2:.4g} mm\u00b2"
-        return f"inside a bed: {percent(self.share)} of the gaps is seen ({areas}); {percent(self.glass)} is glass"
+        share, name = self.first
+        begin = f"inside a bed: {percent(share)} {name}"
+        areas = f"{share * self.gas_mm2:.4g} of {self.gas_mm2:.4g} mm\u00b2"
+        if self.lit is None:
+            return f"{begin} ({areas}); {percent(self.glass)} is glass"
+        return (
+            f"{begin} ({areas}): {percent(self.lit.lit_mm2 / self.gas_mm2)} is lit, {percent(self.share)} is seen;"
+            f" {percent(self.glass)} is glass"
+        )
 
 
 def gaps_of_scene(scene: Scene) -> Gaps | None:

@@ -13,6 +13,7 @@ from correction.node_status import NodeStatus
 from daq.runs.run_views import tells_a_scale_alone
 from ground.rows import map_parts
 from piv.preprocessing.image_figures import ImageFigures, image_figures
+from rtpiv.analysis.gaps import Gaps, gaps_of_scene
 from rtpiv.analysis.pictures.rasters import data_address, grey, mask_picture, tint
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 from tracer.scene.scene import Scene
@@ -35,15 +36,15 @@ class BeforeAfter:
         Grey level at which a pixel counts as saturated.
     figures : dict
         ``acquired`` and ``corrected`` (or ``evaluated``) -> figures of merit.
-    through : ThroughGlass or None
-        How much of what the balls hide is recovered; None if they hide nothing.
+    through : ThroughGlass, Gaps or None
+        How much of what the balls hide is recovered, or of the gaps inside a bed; None if they hide nothing.
     """
 
     layers: tuple[tuple[str, str], ...]
     shares: dict[NodeStatus, float]
     full_scale: float
     figures: dict[str, ImageFigures]
-    through: ThroughGlass | None
+    through: ThroughGlass | Gaps | None
 
     @property
     def recovered(self) -> float:
@@ -70,7 +71,7 @@ def before_after(
     found = map_parts(lambda each: each(), work)
     figures = dict(zip(images, found, strict=False))
     layers = tuple(zip(pictures, found[len(images) :], strict=True))
-    through = through_glass(scene, corrector.map.grid, corrector.recovered)
+    through = gaps_of_scene(scene) or through_glass(scene, corrector.map.grid, corrector.recovered)
     return BeforeAfter(layers, shares, full_scale, figures, through)
 
 

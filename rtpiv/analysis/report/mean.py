@@ -16,6 +16,7 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import tells_a_scale_alone
 from rtpiv.analysis.digits import two_digits, with_sigma
 from rtpiv.analysis.fit_beside import FIT_FILE
+from rtpiv.analysis.gaps import gaps_of_scene
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import flow_chapters, profile_chapter, regions_of_mean
@@ -69,7 +70,7 @@ def write_mean_page(
     for warning in mean.warnings:
         page.warning(warning + ".")
     corrector, regions = view.correction.corrector, regions_of_mean(view, mean)
-    through = through_glass(scene, corrector.map.grid, corrector.recovered)
+    through = gaps_of_scene(scene) or through_glass(scene, corrector.map.grid, corrector.recovered)
     through_lead(page, through, scene, float(corrector.recovered.mean()))
     page.lead(*mean_lead(mean, regions, bool(scene.bodies)))
     _velocity_figures(page, view, mean)

@@ -20,6 +20,7 @@ from urllib.parse import quote
 
 from ground.printable import utf8
 from ground.whole_file import whole_file
+from rtpiv.analysis.gaps import Gaps
 from rtpiv.analysis.pictures.saved import lay_out, write_png
 from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.through_glass import ThroughGlass, percent
@@ -252,14 +253,14 @@ def behind_glass(scene: Scene) -> str:
     return " through glass" if scene.bodies else ""
 
 
-def through_lead(page: Page, through: ThroughGlass | None, scene: Scene, recovered: float) -> None:
-    """Begin a page.
+def through_lead(page: Page, through: ThroughGlass | Gaps | None, scene: Scene, recovered: float) -> None:
+    """Begin a page with the share seen through glass, or inside a bed that of the gaps which is lit and seen.
 
     Parameters
     ----------
     page : Page
         Grows.
-    through : ThroughGlass or None
+    through : ThroughGlass, Gaps or None
         The share; without balls before the plane there is nothing to say.
     scene : Scene
         What is asked for what would show more.
@@ -267,6 +268,14 @@ def through_lead(page: Page, through: ThroughGlass | None, scene: Scene, recover
         Share of the whole corrected frame that is recovered.
     """
     if through is None:
+        return
+    if isinstance(through, Gaps):
+        share, name = through.first
+        parts = [("gas between the balls", f"{through.gas_mm2:.4g} mm\u00b2")]
+        if through.lit is not None:
+            parts.append(("lit", percent(through.lit.lit_mm2 / through.gas_mm2)))
+        parts += [("seen", percent(through.share)), ("glass, of the whole plane", percent(through.glass))]
+        page.lead(percent(share), Table(name, ("inside a bed", ""), parts))
         return
     rows = [
         (f"hidden by {through.what}", f"{through.hidden_mm2:.4g} mm\u00b2"),

@@ -1,5 +1,6 @@
 """`rtpiv trace` between the balls of a bed: its first figure is the share of the gaps that is seen."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from daq.errors import RunUsageError
 from ground.errors import ConfigError
 from ground.terminal import console
 from rtpiv.analysis.gaps import gap_share
+from rtpiv.analysis.pictures.before_after import before_after
+from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import check
 from rtpiv.verbs.show import show_through
@@ -131,10 +134,19 @@ def test_the_sheet_in_the_bed_is_shown_and_not_the_board(tmp_path, capsys):
 
 
 def test_verbs_of_vectors_begin_with_the_gaps_that_are_lit_and_seen(tmp_path, capsys):
-    show_through(console(), load_scene(bed(tmp_path, f"z_mm: 30.0, {FROM_LEFT}", height=30.0)))
+    scene = load_scene(bed(tmp_path, f"z_mm: 30.0, {FROM_LEFT}", height=30.0))
+    show_through(console(), scene)
     out = capsys.readouterr().out
     assert out.startswith("inside a bed: ")
     assert "of the gaps is lit and seen" in out
+    page, lit = Page("bed"), scene.in_light_sheet()
+    frame = np.arange(126 * 126, dtype=np.uint16).reshape(scene.camera.shape)
+    corrector = prepare(lit).corrector
+    through_lead(page, before_after(frame, corrector(frame), corrector, lit, 65535.0).through, lit, 0.5)
+    first = re.search("<b>(.*?) %</b><span>(.*?)<", page.html())
+    assert first is not None
+    assert first[2] == "of the gaps is lit and seen"
+    assert f"inside a bed: {first[1]} % of the gaps" in out
 
 
 def test_a_correction_leaves_the_dark_out(tmp_path):
