@@ -35,11 +35,14 @@ def show_through(screen: Console, scene: "Scene") -> None:
 
 
 def say_through(screen: Console, shown: "ThroughGlass | None", scene: "Scene") -> None:
-    """Print the share seen through glass, with advice where it is little."""
-    if shown is None:
-        return
+    """Print the share seen through glass, with advice where it is little; inside a bed that of the gaps."""
+    from rtpiv.analysis.gaps import gaps_of_scene
     from rtpiv.analysis.views.arranged import little
 
+    if (gaps := gaps_of_scene(scene)) is not None:
+        screen.print(gaps.sentence, style="bold")
+    if shown is None or gaps is not None:
+        return
     screen.print(shown.sentence, style="bold")
     if advice := little(scene, shown.share):
         screen.print(advice, style="bold red")

@@ -37,7 +37,12 @@ def run_bed(folder: Path, bed: str) -> None:
     if bed != TUBE:
         for name in ("bench.yaml", "bench-flow.yaml"):
             edit(folder / name, (r"  seed: ", aperture))
-        edit(folder / "scene.yaml", (r"  f_mm: 25 ", "  f_number: 16\n  focus_mm: 460\n  f_mm: 25 "))
+        edit(
+            folder / "scene.yaml",
+            (r"  f_mm: 25 ", "  f_number: 16\n  focus_mm: 460\n  f_mm: 25 "),
+            # The sheet of the bench lies where the scene has it: its sigma would hide errors that others cover
+            (r"  sigma_mm: 0.3\n", "  sigma_mm: 0.01\n  tilt_sigma_deg: 0.01\n"),
+        )
     edit(folder / "bench-flow.yaml", (r"field: between_balls, parameters: {.*?}", uniform))
     edit(folder / "plan-flow.yaml", (r"pairs: \d+ ", f"pairs: {PAIRS} "))
     target = f"plan-target.yaml --bench bench.yaml {ON_THE_BENCH} --no-correct"
@@ -92,7 +97,7 @@ def judge_bed(folder: Path) -> None:
     assert known.mean() > 0.98
     assert np.sqrt(np.mean(off[known] ** 2)) < 0.03
     assert np.abs(off[~known] / sigma[~known]).max(initial=0.0) < 3.0
-    assert 0.63 < np.mean(np.abs(off) < sigma) < 0.80
+    assert 0.63 < np.mean(np.abs(off) < sigma) < 0.76
     assert rms[:2].max() < 0.015
     assert rms[2] < 0.035
 
