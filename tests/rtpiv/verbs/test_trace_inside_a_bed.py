@@ -196,3 +196,11 @@ def test_light_that_cannot_be_is_refused_by_every_verb(tmp_path, text, words):
         with pytest.raises((ConfigError, RunUsageError), match=words) as refused:
             verb(path)
         assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_tube_seen_along_its_axis_has_gas_in_its_middle(tmp_path):
+    """All four corners of the view lie in its wall."""
+    tube = TUBE.replace("[-99, 0, 90], end_mm: [99, 0, 90]", "[0, 0, -30], end_mm: [0, 0, 60]")
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"{BED}{tube}\nsheet: {{z_mm: 30.0}}\n".replace("20.0, material", "40.0, material"))
+    assert load_scene(path).in_light_sheet().bodies[0].lowest_mm == -60.0
