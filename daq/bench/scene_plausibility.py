@@ -188,13 +188,12 @@ def _sheet_asked(scene: Scene) -> Asked:
     except SceneError as error:  # bodies may stand elsewhere while the sheet is on
         yield ("sheet",), f"sheet: {error}"
         return
-    in_bed = bool(lit.spheres_in_plane and sheet.sources)
     if sheet.sources:
         from correction.grid import grid_of  # compiled kernels, for scenes that need them
         from correction.maps.lit import light_of
 
         light_of(lit, grid_of(lit.camera).every(-(-max(lit.camera.sensor_px) // LIGHT_NODES)))
-    if abs(sheet.z_mm) > SHEET_Z * seen_mm and not in_bed:
+    if abs(sheet.z_mm) > SHEET_Z * seen_mm and not (lit.spheres_in_plane and sheet.sources):
         text = f"is z_mm {sheet.z_mm:g} right, {abs(sheet.z_mm) / seen_mm:.1%} of what the camera sees?"
         yield ("sheet", "z_mm"), f"sheet: {text}"
     usual = Usual(SHEET_THICKNESS.low * seen_mm, SHEET_THICKNESS.high * seen_mm)

@@ -180,7 +180,7 @@ class Scene:
 
     @property
     def unseen_sheet(self) -> str:
-        """Why the camera can see nothing in the light sheet, as a sentence; empty if it may."""
+        """Reason why the camera can see nothing in the light sheet, as a sentence; empty if it may."""
         try:
             return "" if self.sheet is None else sheet_problem(*self._in_sheet, self.sheet)
         except SceneError as error:

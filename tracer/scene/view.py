@@ -20,7 +20,7 @@ REACHES_MM = 1e-6
 FARTHEST_MM = 1e5  # a hundred metres: no lab is longer
 FEWEST_PX = 16  # along the longer side of a sensor
 MOST_DISTORTED = 100.0  # distances from the axis by which lens terms may move a corner: far above any lens
-SAMPLES = 33  # along each side of a frame: gas is looked for there
+VIEW_POINTS = 33  # along each side of a frame: gas is looked for there
 NM = 550.0  # any light will do for an estimate
 
 
@@ -55,9 +55,9 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
         text = f"the lens terms move a corner of the picture by {100.0 * share:.3g} %, which no lens does"
         problems.append(("", f"{text}; they belong to radii in units of the focal length"))
     bodies = tuple(bodies)
-    if angle_deg > 0.0 and (around := _bodies_around_view(camera, bodies)):
-        text = f"all that the camera sees of the investigation plane lies inside {around}"
-        problems.append(("", f"{text}; let the plane cut the gas beside it"))
+    if angle_deg > 0.0 and (around := _names_around_view(camera, bodies)):
+        text = f"all that the camera sees of the investigation plane lies inside body {_in_quotes(around)}"
+        problems.append((around[0], f"{text}; let the plane cut the gas beside it"))
     for body in bodies:
         if float(np.abs([body.capsule.start_mm, body.capsule.end_mm]).max()) > FARTHEST_MM:
             problems.append((body.name, f"body {body.name!r} is farther than {FARTHEST_MM:g} mm away; um for mm?"))
@@ -86,11 +86,9 @@ def sheet_problem(camera: Camera, bodies: Sequence[Body], sheet: LightSheet) -> 
     sheet : LightSheet
         For its sources, and to be named.
     """
-    if around := _bodies_around_view(camera, bodies):
-        return (
-            f"all that the camera sees of the light sheet at z = {sheet.z_mm:g} mm lies inside {around}; correct"
-            " z_mm or the body"
-        )
+    if around := _names_around_view(camera, bodies):
+        where = f"the light sheet at z = {sheet.z_mm:g} mm lies inside body {_in_quotes(around)}"
+        return f"all that the camera sees of {where}; correct z_mm or the body"
     places = _view_mm(camera)
     for source in sheet.sources:
         who = f"the light sheet from {source.from_deg:g} degrees"
@@ -111,15 +109,18 @@ def sheet_problem(camera: Camera, bodies: Sequence[Body], sheet: LightSheet) -> 
     return ""
 
 
-def _bodies_around_view(camera: Camera, bodies: Iterable[Body]) -> str:
+def _names_around_view(camera: Camera, bodies: Iterable[Body]) -> list[str]:
     """Names of the bodies inside which all that a camera sees of z = 0 lies, so that nothing flows there."""
     if (places := _view_mm(camera)) is None:
-        return ""
+        return []
     inside = {body.name: body.distance_mm(places) < 0.0 for body in bodies if body.may_cross_plane}
     if not np.any(list(inside.values()), axis=0).all():
-        return ""
-    names = [repr(name) for name, here in inside.items() if here.any()]
-    return f"{'body' if len(names) == 1 else 'bodies'} {', '.join(names)}"
+        return []
+    return [name for name, here in inside.items() if here.any()]
+
+
+def _in_quotes(names: list[str]) -> str:
+    return " and ".join(map(repr, names))
 
 
 def distortion(camera: Camera) -> float:
@@ -146,7 +147,7 @@ def surface_error_px(camera: Camera, body: Body) -> float:
 
 def _view_mm(camera: Camera) -> "np.typing.NDArray[np.float64] | None":
     """Points (N, 3) of the plane z = 0 all over what the frame would see without glass; None beside it."""
-    u, v = (np.linspace(-0.5, side - 0.5, SAMPLES) for side in camera.sensor_px)
+    u, v = (np.linspace(-0.5, side - 0.5, VIEW_POINTS) for side in camera.sensor_px)
     rays = camera.directions(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     if not (rays[:, 2] < 0.0).all():
         return None
