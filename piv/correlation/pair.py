@@ -67,6 +67,7 @@ from piv.correlation.vector_field import TRUSTED_SHARE, VectorField
 from piv.correlation.windows import window_grid
 from piv.errors import PairError
 from piv.preprocessing.empty_areas import empty_areas
+from piv.preprocessing.hot_pixels import hot_pixels
 from piv.preprocessing.still_light import light_beside, still_light, with_clean_rim
 
 BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
@@ -125,6 +126,7 @@ def evaluate_pair(
         BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"
     )
     frames, _, seen = check_frames(frame_a, frame_b, valid)
+    hot = hot_pixels(frames[0], frames[1], seen)
     if still is None:
         still = still_light([(frames[0], frames[1])], seen)
     empty = empty_areas(frames[0], frames[1], seen)
@@ -139,6 +141,8 @@ def evaluate_pair(
         valid = ~still if valid is None else valid & ~still
     sides = list(settings.windows_px)
     rim = given if given is not None and valid is not None and (valid & ~given).any() else None
+    if hot is not None:
+        valid = ~hot if valid is None else valid & ~hot
 
     hidden: list[NDArray[np.bool_]] = []
 

@@ -5,7 +5,8 @@ import pytest
 import scipy
 
 from piv.correlation.pair import evaluate_pair
-from tests.piv.lab_kinds import FLOWS, Counts, judge, scene
+from piv.preprocessing.hot_pixels import hot_pixels
+from tests.piv.lab_kinds import FLOWS, Counts, judge, light_of_particles, scene, sensor
 from tests.slow_cases import slow, slow_but
 
 STILL = "still, points", "still, coarse"
@@ -18,7 +19,6 @@ STILL = "still, points", "still, coarse"
         ("still, points", "vortex", 4101),
         slow("still, coarse", "uniform", 4100),
         slow("still, points", "turbulence", 4101),
-        ("still, hot", "shear", 4200),
     ],
 )
 def test_a_flow_that_still_light_outshines_has_no_silent_vector(kind, name, seed):
@@ -26,6 +26,29 @@ def test_a_flow_that_still_light_outshines_has_no_silent_vector(kind, name, seed
     found = judge(kind, name, seed)
     assert (found.wrong, found.silent) == (0, 0)
     assert found.warned
+
+
+@pytest.mark.parametrize(("name", "seed"), [("shear", 4200), ("jet", 57101), slow("vortex", 57101)])
+def test_hot_pixels_are_left_out(name, seed):
+    """Up to 92 % of the vectors were silent, between rest and the flow."""
+    found = judge("still, hot", name, seed)
+    assert (found.wrong, found.silent, found.warned) == (0, 0, 0)
+    assert found.valid > 0.98 * found.asked
+
+
+@pytest.mark.parametrize("spread_px", [0.3, 0.5])
+@pytest.mark.parametrize("speed_px", [0.0, 0.3])
+def test_particle_images_as_small_as_a_pixel_are_no_hot_pixels(spread_px, speed_px):
+    rng = np.random.default_rng(57)
+    lights = light_of_particles(rng, lambda x, y: (speed_px + 0 * x, 0 * y), 96, spread_px, 0.04)
+    assert hot_pixels(*sensor(rng, lights), np.ones((96, 96), bool)) is None
+
+
+def test_a_flow_that_seems_to_rest_is_said_to_look_like_still_light():
+    """Vectors were zero and sure before a texture that outshines turbulence, without a word."""
+    field = evaluate_pair(*scene("still, fine", "turbulence", 57101)[:2], threads=1)
+    assert np.median(np.hypot(field.u_px, field.v_px)[field.valid]) < 0.1
+    assert "take the background off" in field.warning
 
 
 @pytest.mark.parametrize("kind", slow_but(STILL))

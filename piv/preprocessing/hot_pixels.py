@@ -1,0 +1,34 @@
+"""Hot pixels of a sensor: bright at the same place in both frames of a pair, and sharper than images of particles.
+
+They match at no displacement and draw vectors to zero. The height of a hot pixel over its usual neighbour is all
+its height over the ground. Of the images of particles it is a part: at most 0.55 where their deviation is 0.7 px,
+and where they are as small as a pixel any part up to 1, since few of them lie in the middle of one.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Height over the usual neighbour as a part of that over the ground: of hot pixels and of nearly single ones
+SINGLE, NEARLY = 0.9, 0.8
+HOT = 0.6  # the same beside light of the flow, once there are hot pixels
+ABOVE_NOISE = 6.0  # height in deviations of what differs between the frames
+GROUND_PX = 5  # side of the area whose darkest pixel is the ground
+FEWEST = 2e-4  # share of the pixels
+
+
+def hot_pixels(a: NDArray[Any], b: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Return pixels (H, W) that are hot in both frames; None if there are hardly any."""
+    import cv2
+
+    one, other = (np.where(valid, frame, frame[valid].min()).astype(np.float32) for frame in (a, b))
+    low, high = np.minimum(one, other), np.maximum(one, other)
+    height = low - np.asarray(cv2.medianBlur(high, 3))
+    noise = 1.48 * float(np.median((high - low)[valid]))
+    above = low - np.asarray(cv2.erode(low, np.ones((GROUND_PX, GROUND_PX), np.uint8)))
+    part = np.where((height > ABOVE_NOISE * noise) & valid, height / np.maximum(above, 1e-30), 0.0)
+    single, nearly = (np.count_nonzero(part > least) for least in (SINGLE, NEARLY))
+    if single < FEWEST * part.size or 2 * single < nearly:
+        return None
+    return np.asarray(part > HOT)
