@@ -75,7 +75,7 @@ TRIALS_PX = np.stack((_LENGTHS * np.cos(_ANGLES), _LENGTHS * np.sin(_ANGLES)), a
 LONGER = 1.8
 LONGER_PX = 0.15
 HIDDEN_EVIDENCE = 30.0
-HIDDEN_SHARE = 0.2
+HIDDEN_SHARE, HIDDEN_BLOCKS = 0.2, 2  # of the blocks; a single one among several may be chance
 LEAST_KEPT = 0.9  # of the valid vectors
 STRETCH_LEFT = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
 
@@ -169,7 +169,7 @@ def _share_of_hidden_flow(pair: Pair, known: Known) -> float:
         best = int(np.argmin(misfit[1:]))
         is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * length_px + LONGER_PX
         found.append(bool(is_long and misfit[0] - misfit[1 + best] > HIDDEN_EVIDENCE))
-    return float(np.mean(found)) if found else 0.0
+    return float(np.mean(found)) if sum(found) >= min(HIDDEN_BLOCKS, len(found)) and found else 0.0
 
 
 def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
