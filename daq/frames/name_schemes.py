@@ -46,6 +46,7 @@ _TIME = re.compile(r"\d+([.,p])\d+(s|ms|us|µs|ns)?(?![^\W_])")
 _SIGNED = re.compile(r"[+-]#")
 _NO_SIGN = re.compile(r"-0+")  # zero has none
 _HEXADECIMAL = re.compile(r"[0-9a-f]*[c-f][0-9a-f]*|[0-9A-F]*[C-F][0-9A-F]*")
+LEAST_COUNTED = 0.8  # of the numbers of a counter behind a point, others lost their frames
 MOST_LACKING = 0.2  # of the numbers of a hexadecimal counter
 _DIGITS = re.compile(r"\d+")
 _LETTERS = re.compile(r"[^\W\d_]+")
@@ -208,6 +209,22 @@ def sequences_of(names: Collection[str]) -> list[dict[Fraction, str]]:
     return found
 
 
+def _are_counters(decimals: Collection[tuple[str, str]]) -> bool:
+    """Return whether counters stand behind the points of names, run3.9 and run3.10; 0.9 and 0.15 are decimals."""
+    behind: dict[str, set[str]] = defaultdict(set)
+    for whole, fraction in decimals:
+        behind[whole].add(fraction)
+    widths = {len(fraction) for _, fraction in decimals}
+    numbers = sorted({int(fraction) for _, fraction in decimals})
+    step = gcd(*(after - before for before, after in pairwise(numbers))) or 1
+    is_regular = len(numbers) > 2 and len(numbers) > LEAST_COUNTED * ((numbers[-1] - numbers[0]) // step + 1)
+    if len(widths) > 1:
+        return is_regular or any(text[1:].endswith("0") for _, text in decimals)
+    # Times go on beyond a whole number by the same step; marks 1.001, 2.001 have the same counter each.
+    is_repeated = len(behind) > 1 and len({frozenset(each) for each in behind.values()}) == 1
+    return is_repeated and numbers[-1] + step != numbers[0] + 10 ** min(widths)
+
+
 def _groups_of(names: Collection[str]) -> Iterator[tuple[list[str], re.Pattern[str]]]:
     """Names that differ by numbers alone, in natural order, with the pattern of their numbers."""
     groups: dict[str, list[str]] = defaultdict(list)
@@ -224,10 +241,9 @@ def _groups_of(names: Collection[str]) -> Iterator[tuple[list[str], re.Pattern[s
             yield both, re.compile(f"[+-]?{_NUMBER.pattern}")
     for group in groups.values():
         texts = [text for name in group for text in _NUMBER.findall(name.rpartition(".")[0])]
-        fractions = [found[2] for text in texts if (found := _DECIMAL.match(text))]
-        counts = len({len(text) for text in fractions}) > 1 and any(text[1:].endswith("0") for text in fractions)
-        counts |= any(_NO_SIGN.fullmatch(text) for text in texts)
-        yield group, _DIGITS if counts else _NUMBER  # run3.9 and run3.10 count; 0.9 and 0.15 do not
+        decimals = [(found[1], found[2]) for text in texts if (found := _DECIMAL.match(text))]
+        counts = _are_counters(decimals) or any(_NO_SIGN.fullmatch(text) for text in texts)
+        yield group, _DIGITS if counts else _NUMBER
 
 
 def hexadecimal_sequence(names: Collection[str]) -> dict[Fraction, str]:

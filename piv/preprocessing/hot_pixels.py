@@ -22,13 +22,18 @@ def hot_pixels(a: NDArray[Any], b: NDArray[Any], valid: NDArray[np.bool_]) -> ND
     """Return pixels (H, W) that are hot in both frames; None if there are hardly any."""
     import cv2
 
-    one, other = (np.where(valid, frame, frame[valid].min()).astype(np.float32) for frame in (a, b))
+    kind = a.dtype if a.dtype == b.dtype and a.dtype in (np.uint8, np.uint16) else np.float32
+    one, other = (frame.astype(kind, copy=False) for frame in (a, b))
     low, high = np.minimum(one, other), np.maximum(one, other)
-    height = low - np.asarray(cv2.medianBlur(high, 3))
-    noise = 1.48 * float(np.median((high - low)[valid]))
-    above = low - np.asarray(cv2.erode(low, np.ones((GROUND_PX, GROUND_PX), np.uint8)))
-    part = np.where((height > ABOVE_NOISE * noise) & valid, height / np.maximum(above, 1e-30), 0.0)
-    single, nearly = (np.count_nonzero(part > least) for least in (SINGLE, NEARLY))
-    if single < FEWEST * part.size or 2 * single < nearly:
+    usual = np.asarray(cv2.medianBlur(high, 3))
+    noise = 1.48 * float(np.median((high - low)[::4, ::4][valid[::4, ::4]])) if valid[::4, ::4].any() else np.inf
+    places = np.nonzero((low > usual) & valid)
+    ground = np.asarray(cv2.erode(low, np.ones((GROUND_PX, GROUND_PX), np.uint8)))
+    top, around, least = (part[places].astype(np.float64) for part in (low, usual, ground))
+    part = np.where(top - around > ABOVE_NOISE * noise, (top - around) / np.maximum(top - least, 1e-30), 0.0)
+    single, nearly = (np.count_nonzero(part > limit) for limit in (SINGLE, NEARLY))
+    if single < FEWEST * low.size or 2 * single < nearly:
         return None
-    return np.asarray(part > HOT)
+    hot = np.zeros(low.shape, bool)
+    hot[places] = part > HOT
+    return hot

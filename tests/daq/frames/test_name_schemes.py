@@ -87,6 +87,8 @@ SCHEMES = {
     "decimal comma": (sequence("t={}s.tif", ["0,1", "0,15", "0,2", "0,25", "0,3", "0,35", "0,4", "0,45"]), []),
     "p for a point": (sequence("t{}.png", ["0p1", "0p15", "0p2", "0p25", "0p3", "0p35"]), []),
     "exponents": (sequence("t_{:.1e}.tif", [k * 2e-4 for k in range(1, 9)]), []),
+    "steps behind a point": (sequence("x2.{:d}.tif", range(7, 23, 2)), []),
+    "steps behind a point, none ends in 0": (sequence("t1.{:d}.png", range(7, 47, 5)), []),
     "numbers with points": (sequence("run3.{:d}.tif", range(3, 13)), []),
     "a mask beside one pair": ([("bubblesA.png", "bubblesB.png")], ["bubblesMask.png"]),
     "mask and dark frame beside one": ([("t23_1.tif", "t23_2.tif")], ["mask.tif", "dark_5.tif", "scale.jpg"]),
@@ -148,6 +150,7 @@ SEVERAL = {
 BY_NUMBER = {
     "numbers apart": [(f"Pattern_{k:04d}_A.tif", f"Pattern_{k + 1000:04d}_B.tif") for k in N],
     "one behind the other": [(f"im{2 * k:03d}a.tif", f"im{2 * k + 1:03d}b.tif") for k in N],
+    "counters behind a point": pairs_by("B_1.{:04d}.tif", "B_2.{:04d}.tif"),
     "ordinals": pairs_by("{:03d}_1st.tif", "{:03d}_2nd.tif"),
     "words of no list": pairs_by("{:03d}_davor.tif", "{:03d}_nachher.tif"),
 }
