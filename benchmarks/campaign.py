@@ -1,6 +1,6 @@
 """A campaign on this machine: what executors and chunks cost, and whether all of them write the same bytes.
 
-    python -m benchmarks.campaign [--pairs 64] [--side 1008] [--executors local:1 local:2 dask:2 slurm:2]
+    python -m benchmarks.campaign [--pairs 64] [--side 1008] [--executors local:1 local:2 dask:2]
                                   [--chunks 16] [-o FOLDER]
 
 A flow run is written once (`benchmarks.series`: particles behind two balls), its map traced and its kernels
@@ -11,8 +11,6 @@ chunk.  Said are
     processor_s  of all processes that took part
     largest_MB   resident memory of the largest process
     content      hash of all files but provenance: the same for all lines of one length of chunk
-
-`slurm:N` is submitit's local executor, in which every chunk is a process of its own.
 """
 
 import hashlib
@@ -33,13 +31,13 @@ from benchmarks.series import ONE_THREAD, written_run
 from correction.fitted.prepared import prepare
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, plan_runs
-from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
+from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.workers import worker_processes
 
-PROVENANCE = {".lock", "slurm"}
+PROVENANCE = {".lock"}
 
 
 def main() -> None:
@@ -83,7 +81,7 @@ def _once(folder: Path, words: str, chunk: int) -> None:
     for _ in plan_runs(campaign):
         pass
     wall_s = time.perf_counter()
-    with _executor(kind, int(count), out) as executor:
+    with _executor(kind, int(count)) as executor:
         run_campaign(campaign, executor, evaluate_chunk if kind == "local" else evaluate_elsewhere)
     wall_s = time.perf_counter() - wall_s
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
@@ -98,11 +96,9 @@ def _once(folder: Path, words: str, chunk: int) -> None:
     print(json.dumps(found))
 
 
-def _executor(kind: str, count: int, out: Path) -> AbstractContextManager[Executor]:
+def _executor(kind: str, count: int) -> AbstractContextManager[Executor]:
     """Return an executor by its name."""
-    if kind == "dask":
-        return _dask(count)
-    return worker_processes(count) if kind == "local" else slurm_jobs(out / "slurm", count, {}, cluster="local")
+    return _dask(count) if kind == "dask" else worker_processes(count)
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from sim.camera.gige.process import device_process
 from sim.camera.in_process import DEVICES
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
-from sim.devices import connect, external_pulses, external_synchroniser, replay_reading
+from sim.devices import connect, external_pulses, external_synchroniser
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.event_log import EventLog
@@ -102,10 +102,7 @@ class SimulatedBench:
             for name, controller in bench.table.stages.controllers.items():
                 if isinstance(controller, HandTable):
                     options[name] = {**table.hand.model_dump(), "seed": table.seed}
-            recorded = {name: Path(path) for name, path in table.recorded.items()}
-            self._stages = stages = SimulatedStages(
-                bench.table.stages, self.clock, table.axes, options, recorded=recorded
-            )
+            self._stages = stages = SimulatedStages(bench.table.stages, self.clock, table.axes, options)
             self.lines, self.witness = stages.lines, stages.witness
             if bench.table.keep_out is not None:
                 home = where_scene_holds(bench, table.glass_off_mm)
@@ -124,8 +121,7 @@ class SimulatedBench:
                 if isinstance(device.section, CameraSection):
                     self.sections[name] = self._further(bench, name, table, stages, exposures_before, folder)
                 else:
-                    put_up_one = self._more(bench, name, device, recorded.get(name))
-                    self.sections[name] = opened = self._stack.enter_context(put_up_one)
+                    self.sections[name] = opened = self._stack.enter_context(self._more(bench, name, device))
                     if isinstance(opened, ReadingSection) and opened.port is not None:
                         self._gauges[name] = LINES.get(opened.port.removeprefix("sim://"))
                     self._wire(name, device)
@@ -193,12 +189,8 @@ class SimulatedBench:
         self.witness.judge()
         self._stack.close()
 
-    def _more(
-        self, bench: Bench, name: str, device: Device, recording: Path | None
-    ) -> AbstractContextManager[Table]:
-        """Put a device of another kind up by a recording, or by what that kind names as its simulator."""
-        if recording is not None and isinstance(device.section, ReadingSection):
-            return replay_reading(device.section, recording, self.clock)
+    def _more(self, bench: Bench, name: str, device: Device) -> AbstractContextManager[Table]:
+        """Put a device of another kind up by what that kind names as its simulator."""
         module, _, function = (kind_of(device.kind).simulator or "").partition(":")
         if not function:
             line = bench.document.line(("devices", name))

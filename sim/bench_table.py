@@ -23,7 +23,7 @@ flow: {field: jet}            # what flow runs see; see sim.flow.table
 faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.config
 cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # optional, of further cameras
 
-A rehearsal (daq.bench.rehearsal) says `schedule`, `recorded` and `keeps` beside them.
+A rehearsal (daq.bench.rehearsal) says `schedule` and `keeps` beside them.
 """
 
 import math
@@ -121,7 +121,6 @@ class SimulationTable(Table):
     faults: FaultsTable = FaultsTable()
     cameras: dict[Name, FurtherCameraTable] = Field(default_factory=dict)
     schedule: list[Fault] = Field(default_factory=list)  # of a rehearsal: what goes wrong, and when
-    recorded: dict[Name, str] = Field(default_factory=dict)  # of a rehearsal: files that answer, by box
     keeps: bool = False  # of a rehearsal: whether what happens is kept
 
     @property
@@ -151,10 +150,8 @@ def simulation_of(bench: Bench) -> SimulationTable:
         raise SceneError(f"{bench.path}: simulation.cameras: the bench has no further camera {', '.join(strange)}")
     if table.prints_truth and table.ring is not None:
         raise SceneError(f"{bench.path}: simulation: frames of a ring cannot print their truth; leave one out")
-    if (table.schedule or table.recorded) and not table.keeps:
-        raise SceneError(
-            f"{bench.path}: simulation: what comes of a schedule or a recording is kept; say keeps: true as well"
-        )
+    if table.schedule and not table.keeps:
+        raise SceneError(f"{bench.path}: simulation: events of a schedule are kept; set keeps: true as well")
     if table.keeps and (table.transport, table.camera_transport) != ("memory", "memory"):
         raise SceneError(f"{bench.path}: simulation.keeps: say transport and camera_transport: memory as well")
     width, height = bench.scene.camera.sensor_px

@@ -14,7 +14,6 @@ first: a frame that its trigger has made is judged by it.
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 from daq.bench.bench_table import CameraSection
@@ -30,7 +29,6 @@ from sim.emulators.device import Clock
 from sim.emulators.flow_meter import FlowMeter
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import put_up
-from sim.emulators.recorded import RecordedBox
 from sim.light import LitFlow
 from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
 from sim.timing import SimulatedTiming
@@ -166,10 +164,3 @@ def simulate_reading(section: ReadingSection, world: World, clock: Clock) -> Ite
         yield ReadingSection(
             unit=section.unit, port=port, ask="F?\r\n", find=r"F=([-+\d.]+)", wait_s=section.wait_s
         )
-
-
-@contextmanager
-def replay_reading(section: ReadingSection, path: Path, clock: Clock) -> Iterator[ReadingSection]:
-    """Put up what answers from a recording while the block runs; yield the section with its port."""
-    with put_up(Line(RecordedBox(path, clock), clock), "device") as port:
-        yield section.model_copy(update={"port": port})

@@ -11,7 +11,6 @@ exposed    a camera                   `number` of the exposure, `crc32` of its p
 light      a timing unit              `pulse` 0 or 1 of a pair; the time is when the light fell
 fault      what it is of              `what` has happened to it, and `due` when
 waiting    the same                   a fault whose moment has not come
-differs    a box of a recording       bytes sent to it other than recorded, or not at all by the end
 violation  an axis or two things      a limit passed, too close, moved on after a stop, a false position reported
 =========  =========================  =====================================================================
 
@@ -28,7 +27,7 @@ from typing import Any, Literal, NamedTuple
 from daq.errors import RunUsageError
 
 FILE = "world.jsonl"
-What = Literal["step", "told", "exposed", "light", "fault", "waiting", "differs", "violation"]
+What = Literal["step", "told", "exposed", "light", "fault", "waiting", "violation"]
 
 
 class Event(NamedTuple):
@@ -92,11 +91,6 @@ class EventLog:
     def waiting(self) -> list[str]:
         """Faults whose moment has not come, in the same words."""
         return [_of_fault(event) for event in self.of_kind("waiting")]
-
-    @property
-    def differs(self) -> list[str]:
-        """Bytes sent to boxes of recordings that differ from the recording, or are missing."""
-        return [f"{event.of}: {event.said}" for event in self.of_kind("differs")]
 
     @property
     def violations(self) -> list[str]:

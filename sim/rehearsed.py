@@ -23,7 +23,7 @@ class Rehearsed(BenchSession):
     ----------
     bench : path
         bench.yaml, with a `simulation` section.
-    faults, seed, recorded
+    faults, seed
         As for `Rehearsal`.
 
     Raises
@@ -37,9 +37,8 @@ class Rehearsed(BenchSession):
         bench: Path | str,
         faults: Path | str | Sequence[Mapping[str, Any]] | None = None,
         seed: int | None = None,
-        recorded: Mapping[str, Path | str] | None = None,
     ) -> None:
-        super().__init__(Rehearsal(faults, seed).of(load_bench(bench), recorded=recorded), simulate=True)
+        super().__init__(Rehearsal(faults, seed).of(load_bench(bench)), simulate=True)
 
     def true_mm(self) -> dict[str, float]:
         """Return the true position of every axis [mm], whatever its controller says."""

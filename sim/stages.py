@@ -11,7 +11,6 @@ It comes from the carriage, never from a step counter.  Ports are either ``sim:/
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -23,7 +22,6 @@ from sim.emulators.faults import FaultSchedule
 from sim.emulators.foreign_box import ForeignBox
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import put_up
-from sim.emulators.recorded import RecordedBox
 from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.clock import Clock
@@ -86,8 +84,6 @@ class SimulatedStages:
         Further options of the emulators, by controller.
     faults : mapping of str to FaultSchedule, optional
         What happens to the answers, by controller.
-    recorded : mapping of str to Path, optional
-        Recordings that answer in place of an emulator, by controller.
     """
 
     def __init__(
@@ -97,7 +93,6 @@ class SimulatedStages:
         screws: Mapping[str, ScrewTable],
         firmware: Mapping[str, Mapping[str, Any]] | None = None,
         faults: Mapping[str, FaultSchedule] | None = None,
-        recorded: Mapping[str, Path] | None = None,
     ) -> None:
         self.config = config
         self.clock = clock
@@ -114,8 +109,6 @@ class SimulatedStages:
             made = emulator_class(table.driver)
             options = made.individual(name) | dict((firmware or {}).get(name, {}))
             emulator = made(motors, clock, **options)
-            if recorded is not None and name in recorded:
-                emulator = RecordedBox(recorded[name], clock, emulator)
             self.lines[name] = Line(emulator, clock, (faults or {}).get(name))
         self.witness = Witness({name: self._watch_axis(name, screws[name]) for name in config.axes}, clock)
         for line in self.lines.values():

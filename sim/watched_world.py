@@ -19,7 +19,6 @@ from daq.timing.pulses import Q_SWITCHES
 from sim.camera.device import SimCamera
 from sim.emulators.faults import Fault as WireFault
 from sim.emulators.line import Line
-from sim.emulators.recorded import RecordedBox
 from sim.event_log import Event, EventLog, Kept
 from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
@@ -171,9 +170,6 @@ class WatchedWorld:
         faults: Sequence[Fault],
     ) -> None:
         self._clock, self._kept = clock, Kept()
-        self._recorded = {
-            name: line.emulator for name, line in bench.lines.items() if isinstance(line.emulator, RecordedBox)
-        }
         self._strikes = FaultStrikes(faults, bench, clock, self._kept)
         for name, line in bench.lines.items():
             line.on_told = partial(self._note_bytes, name, line)
@@ -189,17 +185,14 @@ class WatchedWorld:
         self._strikes.step_begins(number)
 
     def event_log(self, violations: Sequence[Violation]) -> EventLog:
-        """Everything so far, with what the witness has seen, faults that wait, and what recordings miss."""
+        """Everything so far, with what the witness has seen, and faults that wait."""
         now_s = self._clock.now_s()
         seen = [Event(each.time_s, "violation", each.what, str(each)) for each in violations]
         waiting = [
             Event(now_s, "waiting", fault.of, {"what": fault.what, "due": fault.moment})
             for fault in self._strikes.waiting
         ]
-        differs = [
-            Event(now_s, "differs", name, box.differs) for name, box in self._recorded.items() if box.differs
-        ]
-        return EventLog((*self._kept.events(), *seen, *waiting, *differs))
+        return EventLog((*self._kept.events(), *seen, *waiting))
 
     def _note_bytes(self, box: str, line: Line, data: bytes) -> None:
         self._strikes.count_bytes(box, data)

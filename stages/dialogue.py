@@ -1,4 +1,4 @@
-"""Dialogue on a serial port as text: written during a session, replayed in place of the device.
+"""Dialogue on a serial port as text.
 
     # anything              for people
     @ 115200                the host has opened the port at this rate
@@ -15,23 +15,17 @@ import re
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from queue import Full, Queue
-from typing import Literal, TextIO
+from typing import TextIO
 
-from ground.errors import ConfigError, Problem
-from ground.plain_file import read_plain
 from stages.clock import Clock
 from stages.errors import PortUnavailable
 
 VARIABLE = "RTPIV_RECORD"
-MAX_RECORDING_BYTES = 50_000_000  # bytes of a recording that is read
 MOST_WAITING = 100_000  # lines that a slow disk may be behind
 DISK_PATIENCE_S = 2.0  # for a disk, when a port is closed
-WORD = re.compile(r"([<>])((?: [0-9a-fA-F]{2})+)(?: \+(\d{1,6}(?:\.\d{1,9})?))?", re.ASCII)
-RATE = re.compile(r"@ \d{1,8}", re.ASCII)
 
 
 class Dialogue:
@@ -127,53 +121,3 @@ def _new_file(folder: Path, name: str) -> RecordedFile:
         with suppress(FileExistsError):
             return RecordedFile(folder / f"{name}-{number}.txt")
     raise AssertionError("numbers do not end")
-
-
-@dataclass(frozen=True)
-class Word:
-    """A line of a recording that says something.
-
-    Parameters
-    ----------
-    line : int
-        Its number, 1 first.
-    by : {">", "<"}
-        The host, or the box.
-    data : bytes
-        What.
-    after_s : float
-        Of the box: how long after what the host had sent last [s].
-    """
-
-    line: int
-    by: Literal[">", "<"]
-    data: bytes
-    after_s: float
-
-
-def read_dialogue(path: Path) -> tuple[Word, ...]:
-    """Read a recording.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be read, or a line is none of a recording; with the line.
-    """
-    try:
-        text = read_plain(path, MAX_RECORDING_BYTES).decode("utf-8")
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "it is no text"
-        raise ConfigError(path, [Problem(0, f"the recording cannot be read: {why}")]) from error
-    words, wrong = [], []
-    for number, line in enumerate(text.splitlines(), 1):
-        if (said := WORD.fullmatch(line.rstrip())) is not None:
-            by: Literal[">", "<"] = ">" if said[1] == ">" else "<"
-            words.append(Word(number, by, bytes.fromhex(said[2]), float(said[3] or 0.0)))
-        elif line.strip() and not line.startswith("#") and RATE.fullmatch(line.rstrip()) is None:
-            wrong.append(number)
-    if wrong:
-        text = f"this is no line of a recording; it begins with >, <, @ or # ({len(wrong)} such lines)"
-        raise ConfigError(path, [Problem(wrong[0], text)])
-    if not any(word.by == ">" for word in words):
-        raise ConfigError(path, [Problem(0, "this recording has no command to the box; record it again")])
-    return tuple(words)

@@ -28,22 +28,16 @@ lamp    dim                  the target has this `share` of its light from then 
 ======  ===================  ==============================================================================
 
 A box is a controller of the stages, a timing unit or a reading.  `nth` waits until a word has been said so often.
-
-A box may answer from a recording of a real one (`stages.dialogue`), a file beside this one:
-
-recorded: {target: said/target.txt}
 """
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from daq.bench.bench_table import STAGES, Bench, CameraSection
-from daq.bench.reading import ReadingSection
 from daq.timing.timing_table import TimingTable
-from ground.config import Name, Table
-from stages.controller_tables import ControllerTable
+from ground.config import Table
 
 What = Literal[
     "unplug", "mute", "restart", "late", "split", "lost", "cut", "doubled", "garbled", "stop", "run", "door",
@@ -89,16 +83,9 @@ class Fault(Table):
 
 
 class FaultFile(Table):
-    """A file of faults, and of the recordings that boxes answer from."""
+    """A file of faults."""
 
-    faults: Annotated[list[Fault], Field(max_length=1000)] = Field(default_factory=list)
-    recorded: dict[Name, Text] = Field(default_factory=dict)
-
-    @model_validator(mode="after")
-    def _says_something(self) -> "FaultFile":
-        if not self.faults and not self.recorded:
-            raise ValueError("neither faults nor recorded is set; set one")
-        return self
+    faults: Annotated[list[Fault], Field(min_length=1, max_length=1000)]
 
 
 def things_of(bench: Bench) -> dict[str, str]:
@@ -109,21 +96,6 @@ def things_of(bench: Bench) -> dict[str, str]:
             kinds = {CameraSection: "camera", TimingTable: "timing unit"}
             things[name] = next((kind for made, kind in kinds.items() if isinstance(device.section, made)), "box")
     return things | {LAMP: "lamp"}
-
-
-def not_recorded(name: str, bench: Bench) -> str:
-    """Return why a device of a bench cannot answer from a recording; "" if it can."""
-    controller = bench.table.stages.controllers.get(name)
-    if isinstance(controller, ControllerTable):
-        return ""
-    device = bench.more.get(name)
-    if device is not None and isinstance(device.section, ReadingSection) and device.section.port is not None:
-        return ""
-    if device is not None and isinstance(device.section, TimingTable):
-        return "a timing unit is asked by the wall's clock, so its words have no order; leave it out"
-    if name not in things_of(bench):
-        return f"there is no {name!r} on this bench; there are {', '.join(things_of(bench))}"
-    return "only devices on a serial port can be recorded: a controller or a reading; leave it out"
 
 
 def validation_errors(fault: Fault, bench: Bench) -> Iterator[str]:

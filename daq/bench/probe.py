@@ -6,7 +6,7 @@
 up with is all there is, and a test holds that no emulated box changes by any of it.  Opening a port is not nothing
 for some boards: a Grbl board may restart when the system raises DTR, and has to be homed then.
 
-Every byte is kept with its time and rate (`dialogue`), as a text that a lab can send and a test can replay
+Every byte is kept with its time and rate (`dialogue`), as a text that a lab can send
 (`stages.dialogue`).
 """
 

@@ -60,7 +60,6 @@ WORDS = {  # options with other names than their parameters
     "first_window_px": ("--first-window",),
     "final_window_px": ("--final-window",),
     "finest_window_px": ("--finest-window",),
-    "slurm_options": ("--slurm-set",),
 }
 UNITS = ("mm", "um", "px", "us", "s", "hz", "nm", "deg")
 TRUST = "programs named by the bench file that may be called, as package.module:name, with commas between"

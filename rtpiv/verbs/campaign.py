@@ -15,7 +15,7 @@ from ground.rows import thread_count
 from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder, RunStatus, campaign_status
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, adopt, ask_for, trial
-from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere, slurm_jobs
+from rtpiv.analysis.campaign.executors import dask_workers, evaluate_elsewhere
 from rtpiv.analysis.campaign.merge import (
     INDEX,
     STATISTICS,
@@ -49,39 +49,24 @@ class Workers:
         Processes of this computer (default one per core).
     scheduler : str, optional
         Address of a Dask scheduler whose workers evaluate the runs, such as tcp://10.0.0.1:8786.
-    slurm : int, optional
-        Submit jobs to Slurm, at most this many at a time.
-    slurm_options : sequence of str
-        Parameters NAME=VALUE of `submitit.AutoExecutor.update_parameters`, such as slurm_partition=long
-        timeout_min=600.
-    slurm_here : bool
-        Use processes of this computer instead of Slurm jobs, as a trial.
     """
 
     workers: Count | None = None
     scheduler: str | None = None
-    slurm: Count | None = None
-    slurm_options: Sequence[str] = ()
-    slurm_here: bool = False
 
-    def executor(self, folder: CampaignFolder) -> AbstractContextManager[Executor | None]:
+    def executor(self) -> AbstractContextManager[Executor | None]:
         """Return the executor of these workers; RunUsageError if options exclude each other."""
-        if sum(each is not None for each in (self.workers, self.scheduler, self.slurm)) > 1:
-            raise RunUsageError("--workers, --scheduler and --slurm exclude each other; give one")
-        if self.slurm is None and (self.slurm_options or self.slurm_here):
-            raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; give the number of jobs")
+        if self.workers is not None and self.scheduler is not None:
+            raise RunUsageError("--workers and --scheduler exclude each other; give one")
         if self.scheduler is not None:
             return dask_workers(self.scheduler)
-        if self.slurm is not None:
-            options = dict(_option(text) for text in self.slurm_options)
-            return slurm_jobs(folder.path / "slurm", self.slurm, options, "local" if self.slurm_here else "slurm")
         count = self.workers or thread_count()
         return nullcontext() if count < 2 else worker_processes(count)
 
     @property
     def is_elsewhere(self) -> bool:
         """True if other programs start the workers."""
-        return self.scheduler is not None or self.slurm is not None
+        return self.scheduler is not None
 
 
 def campaign(
@@ -162,7 +147,7 @@ def campaign(
             _show_merged(folder, merged)
             return merged
         if action == "run":
-            with workers.executor(folder) as executor:
+            with workers.executor() as executor:
                 evaluate = evaluate_elsewhere if workers.is_elsewhere else evaluate_chunk
                 kept, made = run_campaign(folder, executor, evaluate)
             screen.print(f"{quantity(made, 'chunk')} made, {kept} {'was' if kept == 1 else 'were'} there")
@@ -172,13 +157,6 @@ def campaign(
         if action == "run":
             screen.print(f"average with: rtpiv campaign merge -o {shlex.quote(str(folder.path))}")
         return states
-
-
-def _option(text: str) -> tuple[str, str | int]:
-    name, sign, value = text.partition("=")
-    if not sign or not name.isidentifier():
-        raise RunUsageError(f"--slurm-set takes name=value, such as slurm_partition=long, not {text!r}")
-    return name, int(value) if value.isdecimal() else value
 
 
 def _show_merged(folder: CampaignFolder, merged: CampaignMean, camera: str = "") -> None:

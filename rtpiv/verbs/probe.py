@@ -20,7 +20,7 @@ def probe(port: str, /, out: Named | None = None) -> Found:
     port : str
         Serial port, such as /dev/serial/by-id/usb-...
     out : path, optional
-        File of the dialogue, for replay and for reports; default probe-PORT.txt.
+        File of the dialogue, for reports; default probe-PORT.txt.
 
     Returns
     -------

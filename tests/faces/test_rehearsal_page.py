@@ -20,20 +20,8 @@ FILES = {
     "faults.yaml",
     "look.py",
     "test_lab.py",
-    "test_words.py",
     "test_laser.py",
     ".github/workflows/bench.yml",
-}
-BROKEN = {  # what a test guards, broken -> the test that must tell it
-    "the script goes elsewhere": ("look.py", "(0.0, -10.0, -20.0)", "(0.0, -10.0, -15.0)", "looks_where"),
-    "the script forgets to move": ("look.py", "bench.move(target_z=z_mm)", "z_mm", "looks_where"),
-    "the limits are wide": ("bench.yaml", "limits_mm: [-70.0, 25.0]", "limits_mm: [-95.0, 25.0]", "limits_refuse"),
-    "the plan is harmless": ("plan-too-far.yaml", "-90.0", "-10.0", "limits_refuse"),
-    "the cable stays in": ("faults.yaml", "what: unplug", "what: doubled", "cable"),
-    "the cable comes out later": ("faults.yaml", "step: 7", "step: 8", "cable"),
-    "the script says something else": ("look.py", "(0.0, -10.0, -20.0)", "(0.0, -10.0, -15.0)", "is_told_what"),
-    "the key STOP is RUN": ("test_laser.py", '"what": "stop"', '"what": "run"', "stop_at_the_box"),
-    "resume does not home": ("test_lab.py", "resume(run, home=True)", "resume(run)", "cable"),
 }
 
 
@@ -51,23 +39,6 @@ def write_lab(folder):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-
-
-AT_THE_BENCH = """
-import rtpiv
-from sim.rehearsed import Rehearsed
-from look import look
-with Rehearsed("bench.yaml") as bench:
-    look(bench)
-"""
-
-
-def record(lab):
-    """What was said at the bench, of which a simulated one takes the place here; the page's file of the target."""
-    environment = os.environ | {"PYTHONPATH": str(PAGE.parents[1]), "RTPIV_RECORD": "said"}
-    subprocess.run([sys.executable, "-c", AT_THE_BENCH], cwd=lab, env=environment, check=True)
-    (said,) = (lab / "said").glob("sim-target-*.txt")
-    said.rename(lab / "said" / "target.txt")
 
 
 def run_tests(lab, *words):
@@ -92,7 +63,7 @@ def world(place):
 def test_the_page_has_the_files_and_its_workflow_runs_the_tests():
     found = files()
     assert set(found) == FILES
-    for name in ("look.py", "test_lab.py", "test_words.py", "test_laser.py"):
+    for name in ("look.py", "test_lab.py", "test_laser.py"):
         compile(found[name], name, "exec")
     assert found["test_lab.py"].count("\ndef test_") == 3
     steps = yaml.safe_load(found[".github/workflows/bench.yml"])["jobs"]["rehearse"]["steps"]
@@ -103,28 +74,12 @@ def test_the_page_has_the_files_and_its_workflow_runs_the_tests():
 def test_a_lab_made_by_the_page_tests_itself_twice_with_the_same_bytes(tmp_path):
     lab = tmp_path / "lab"
     write_lab(lab)
-    record(lab)
     seen = []
     for name in ("one", "two"):
         ran, processor_s = run_tests(lab, f"--basetemp={tmp_path / name}")
         assert ran.returncode == 0, ran.stdout + ran.stderr
-        assert "6 passed" in ran.stdout
+        assert "5 passed" in ran.stdout
         assert processor_s < 60.0
         seen.append(world(tmp_path / name))
     assert len(seen[0][1]) == 8
     assert seen[0] == seen[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("broken", BROKEN)
-def test_each_test_of_the_page_fails_when_what_it_guards_is_broken(tmp_path, broken):
-    name, old, new, told = BROKEN[broken]
-    write_lab(tmp_path)
-    if told == "is_told_what":
-        record(tmp_path)
-    text = (tmp_path / name).read_text()
-    assert text.count(old) == 1
-    (tmp_path / name).write_text(text.replace(old, new))
-    ran, _ = run_tests(tmp_path, "-k", told, "--basetemp", str(tmp_path / "pytest"))
-    assert ran.returncode == 1, ran.stdout + ran.stderr
-    assert "1 failed" in ran.stdout

@@ -53,7 +53,6 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "doctor --probe /dev/ttyUSB0": HARDWARE,
     "focus runs/*focus": "its run is one of plan-focus.yaml, with a lens of its own: tests/system/test_focus.py",
     "campaign run -o week --scheduler tcp://10.0.0.1:8786": CLUSTER,
-    "campaign run -o week --slurm 64 --slurm-set slurm_partition=long timeout_min=120 mem_gb=4": CLUSTER,
 }
 NAMED = "a word for what another page gives as a whole"
 BOARD = "a board that somebody has printed: tests/rtpiv/analysis/prints"

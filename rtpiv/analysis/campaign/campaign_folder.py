@@ -2,7 +2,6 @@
 
 campaign.json    the request, written by `run`: its runs and how their pairs are evaluated
 runs/NAME/       the series of each run, as `rtpiv evaluate` makes it (`rtpiv.analysis.series.series_folder`)
-slurm/           scripts, logs, tasks and results of Slurm jobs
 index.csv        every chunk with its key and hash, and campaign.nc, the statistics of all runs, by `merge`
 
 Runs are found by their paths; once they have been moved, `run` is given them again: keys of chunks do not depend

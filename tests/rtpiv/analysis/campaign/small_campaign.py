@@ -37,6 +37,6 @@ def planned(out, runs, *steps, chunk=2, settings=SETTINGS, scenes=()):
 
 def content_of(out):
     """Bytes of every file of a campaign that must not differ, by name."""
-    made_again = {".lock", "slurm"}
+    made_again = {".lock"}
     files = [file for file in sorted(out.rglob("*")) if file.is_file() and not made_again & set(file.parts)]
     return {file.relative_to(out).as_posix(): file.read_bytes() for file in files}
