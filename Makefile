@@ -98,7 +98,7 @@ endif
 # Hundreds of drawn labs, right and wrong ones: is the wrong model named, is one sigma one sigma?
 LABS ?= 100
 labs: $(STAMP)
-	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py tests/correction/fit/test_strangers.py
+	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_strangers.py
 
 # The same as a table, one row a lab, and labs that are photographed: make lab-table KIND=rendered LABS=300 WORKERS=8;
 # KIND=faults are labs with one fault each of thirty kinds
@@ -122,7 +122,7 @@ lamps: $(STAMP)
 
 # Light sheets off the target's plane, found in simulated flows: how far off, and what it costs
 sheets: $(STAMP)
-	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/light_sheet/test_many_sheets.py tests/correction/light_sheet/test_drawn_sheets.py
+	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/light_sheet/test_drawn_sheets.py
 
 # Fits begun beside the truth, by up to 5 mm: found, refused, or masked by name? make starts STARTS=100
 STARTS ?= 40

@@ -1,9 +1,7 @@
-"""kill -9 of a campaign, of its workers and of a scheduler: the same command makes what is missing, same bytes."""
+"""kill -9 of a campaign and of its workers: the same command makes what is missing, same bytes."""
 
-import importlib.util
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -19,8 +17,6 @@ from tests.system.served import children_of, ends
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ("--first-window", "32", "--final-window", "16", "--chunk", "2")
 CHUNKS = 12
-HAS_DASK = importlib.util.find_spec("distributed") is not None
-needs_dask = pytest.mark.skipif(not HAS_DASK, reason="distributed: not installed")
 # Where a quota ends a process's files at some size, Python's own would be cut as well, and stay so.
 ENVIRONMENT = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
 
@@ -121,76 +117,8 @@ def test_a_full_disk_ends_a_campaign_and_costs_nothing_else(runs, whole, tmp_pat
     assert content_of(out) == whole
 
 
-class Cluster:
-    """A Dask scheduler and workers, each a process of its own that can be killed."""
-
-    def __init__(self, workers, port=0):
-        said = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-        here = ("--host", "127.0.0.1", "--no-dashboard")
-        environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
-        command = [sys.executable, "-m", "dask", "scheduler", *here, "--port", str(port)]
-        self.scheduler = subprocess.Popen(command, env=environment, **said)
-        for line in self.scheduler.stderr:
-            if found := re.search(r"Scheduler at:\s+(tcp://127\.0\.0\.1:\d+)", line):
-                self.address = found[1]
-                break
-        self.workers = []
-        for _ in range(workers):
-            command = [
-                sys.executable,
-                "-m",
-                "dask",
-                "worker",
-                self.address,
-                *here,
-                "--nthreads",
-                "1",
-                "--no-nanny",
-            ]
-            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-            self.workers.append(subprocess.Popen(command, env=environment, **quiet))
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        for process in (*self.workers, self.scheduler):
-            process.kill()
-            process.wait()
-        self.scheduler.stderr.close()
-
-
-def killed_dask_worker(runs, out, rng):
-    """One of two: the scheduler gives its chunk to the other."""
-    with Cluster(2) as cluster:
-        client = begun(out, "run", *runs, *SMALL, "--scheduler", cluster.address)
-        is_there = until_made(client, out, 1 + rng.randrange(CHUNKS - 2), rng)
-        cluster.workers[0].kill()
-        cluster.workers[0].wait()
-        said = client.communicate(timeout=240)[1]
-        assert client.returncode == DONE, said
-        finished(out, "--scheduler", cluster.address)
-    return is_there
-
-
-def killed_scheduler(runs, out, rng):
-    """The client says so and ends; with another scheduler, or none, the same command goes on."""
-    with Cluster(2) as cluster:
-        client = begun(out, "run", *runs, *SMALL, "--scheduler", cluster.address)
-        is_there = until_made(client, out, rng.randrange(CHUNKS - 2), rng)
-        cluster.scheduler.kill()
-        said = client.communicate(timeout=240)[1]
-        assert client.returncode != 0 or made(out) == CHUNKS
-        assert "Traceback" not in said, said
-    finished(out, *runs, *SMALL, "--workers", "2")
-    return is_there
-
-
-CLUSTER = [pytest.param(kill, marks=needs_dask) for kill in (killed_dask_worker, killed_scheduler)]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kill", [killed_client, killed_workers, *CLUSTER])
+@pytest.mark.parametrize("kill", [killed_client, killed_workers])
 @pytest.mark.timeout(7200)
 def test_killed_at_random_times_the_bytes_are_the_same(runs, whole, tmp_path, kill):
     kills = int(os.environ.get("KILLS", "30"))

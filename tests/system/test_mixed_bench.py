@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from daq.bench.bench_table import STAGES
+from daq.runs.raw_frame import checksum, read_raw
+from daq.runs.run_folder import RunFolder, frame_entries
 from rtpiv.command_line.cli import DONE, main
 from sim.bench import SimulatedBench
 from tests.daq.small_bench import (
@@ -23,7 +25,6 @@ from tests.daq.small_bench import (
     with_thorlabs_target,
     write_bench,
 )
-from tests.system.test_campaign import acquire, check_books, check_displacements
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
@@ -31,6 +32,39 @@ pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 UNIT_MM = 0.1  # DemoCamera's Z goes 300 units either way
 SHIFTED_MM = {"glass_x": 0.0, "glass_y": -7.0, "glass_z": 0.5}  # where the glass truly is when the core reads 0
 CORE = "tests_demo_core:Core"
+
+
+def acquire(folder, plan, *options):
+    """Run the verb; return the run's folder."""
+    (folder / "plan.yaml").write_text(plan)
+    before = set((folder / "runs").glob("*_plan*"))
+    arguments = ["acquire", str(folder / "plan.yaml"), "--bench", str(folder / "bench.yaml")]
+    assert main([*arguments, "-o", str(folder / "runs"), "--simulate", "--home", *options]) == DONE
+    return RunFolder((set((folder / "runs").glob("*_plan*")) - before).pop())
+
+
+def check_books(run, frames):
+    done = json.loads((run.path / "done.json").read_text())
+    books = done["conservation"]
+    assert books["imbalance"] == 0
+    assert books["triggered"] == books["written"] == frames
+    entries = frame_entries(run.entries())
+    assert sorted(entries) == list(range(frames))
+    for number, entry in entries.items():
+        assert checksum(read_raw(run.frame_path(number))[0]) == entry["crc32"]
+    return done
+
+
+def check_displacements(run, largest_um):
+    """Commanded, measured and true apart; the true one, which nothing of the software knows, within 10 um."""
+    found = json.loads((run.path / "displacements.json").read_text())
+    for entry in found:
+        commanded, measured, true = (np.array(entry[f"{kind}_mm"]) for kind in ("commanded", "measured", "true"))
+        assert np.abs(true - commanded).max() <= largest_um * 1e-3
+        assert np.abs(true - commanded).max() > 0.0  # a screw that never errs would be no simulation
+        assert np.abs(measured - commanded).max() <= 5e-3
+        assert np.linalg.norm(commanded) > 0.1
+    return found
 
 
 def from_plan_to_report(folder):

@@ -7,10 +7,9 @@ import tomllib
 import pytest
 
 from ground.config import load_yaml
-from tests.slow_suite import ROOT, SHARDS
+from tests.slow_suite import ROOT
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-TEMPLATES = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 MAKEFILE = (ROOT / "Makefile").read_text("utf-8")
 TARGETS = set(re.findall(r"^([a-z-]+):", MAKEFILE, re.MULTILINE))
 VARIABLES = set(re.findall(r"^([A-Z]+) \?=", MAKEFILE, re.MULTILINE))
@@ -23,10 +22,6 @@ def steps(path):
     """Every step of a workflow, with its job."""
     for job in load_yaml(path).tree["jobs"].values():
         yield from ((job, step) for step in job["steps"])
-
-
-def test_there_are_workflows_for_tests_slow_tests_docs_coverage_and_releases():
-    assert {path.stem for path in WORKFLOWS} == {"tests", "nightly", "docs", "coverage", "release"}
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -72,35 +67,6 @@ def test_the_matrix_is_every_python_and_every_system():
         assert [os.partition("-")[0] for os in matrix["os"]] == ["ubuntu", "windows", "macos"]
 
 
-def test_every_shard_runs_at_night():
-    job = load_yaml(ROOT / ".github/workflows/nightly.yml").tree["jobs"]["slow"]
-    assert job["strategy"]["matrix"]["shard"] == list(range(1, SHARDS + 1))
-    assert f"/{SHARDS}" in job["steps"][2]["run"]
-
-
-def test_what_tests_run_is_what_make_runs():
-    fast = re.search(r"^fast-tests:.*\n\t\$\(BIN\)/(.*)$", MAKEFILE, re.MULTILINE)[1]
-    assert fast in [step.get("run") for _, step in steps(ROOT / ".github/workflows/tests.yml")]
-
-
-def test_hooks_before_a_commit_are_those_of_lint():
-    hooks = load_yaml(ROOT / ".pre-commit-config.yaml").tree["repos"][0]["hooks"]
-    parts = re.search(r"^lint: (.*)$", MAKEFILE, re.MULTILINE)[1].split()
-    rules = "".join(re.search(rf"^{part}:.*\n((?:\t.*\n)+)", MAKEFILE, re.MULTILINE)[1] for part in parts)
-    tools = re.findall(r"\$\(BIN\)/([\w-]+)", rules)
-    assert sorted(hook["entry"].removeprefix(".venv/bin/").split()[0] for hook in hooks) == sorted(tools)
-
-
 def test_a_citation_has_the_version():
     cited = load_yaml(ROOT / "CITATION.cff").tree
     assert (str(cited["version"]), cited["license"]) == (PROJECT["version"], PROJECT["license"])
-
-
-@pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.stem)
-def test_who_reports_is_asked_what_doctor_says(path):
-    tree = load_yaml(path).tree
-    if path.stem == "config":
-        return
-    asked = {field["id"]: field for field in tree["body"] if field["type"] != "markdown"}
-    assert "`rtpiv doctor`" in asked["doctor"]["attributes"]["label"]
-    assert asked["doctor"]["validations"]["required"] is True

@@ -20,10 +20,6 @@ from tests.wheel.build import build_wheel
 EXTRA = ("harvesters", "genicam")
 # An editable install leaves a folder rtpiv/examples: linked, the wheel would be installed into it.
 OWN = ("rtpiv", "_rtpiv", "_editable", "__editable__", "pip", "mpmath")
-SCENE = """
-camera: {f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: 110.0, sensor_px: [201, 201]}
-bodies: [{name: near, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: N-BK7}]
-"""
 
 
 class Installed:
@@ -74,37 +70,6 @@ LAB = ("--yes", "--balls", "3", "--arrangement", "triangle", "--glass", "acrylic
        "--sensor-px", "1024", "1024", "--pixel-pitch-um", "5.5")  # fmt: skip
 README = Path(__file__).resolve().parents[2] / "README.md"
 FIRST_PICTURE_S = 180.0
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_a_user_s_whole_way(installed):
-    here, files = installed.here, installed.site / "rtpiv" / "examples"
-    assert installed("rtpiv", "--version").startswith("rtpiv ")
-
-    begun_s = time.monotonic()
-    for words in (("demo",), ("bench", "camera", "snap", "--bench", files / "bench-sim.yaml", "--simulate")):
-        said = installed("rtpiv", *words, fails=True)
-        assert "rtpiv[camera]" in said
-        assert len(said.splitlines()) == 1
-    assert time.monotonic() - begun_s < 30.0  # nothing was compiled first
-    assert not (here / "demo").exists()
-    bench = ("--bench", files / "bench-sim.yaml", "--simulate", "--home")
-    assert "rtpiv[camera]" in installed("rtpiv", "acquire", files / "plan-target.yaml", *bench, fails=True)
-    installed("rtpiv", "acquire", files / "plan-target.yaml", *bench[:2], "--dry-run")
-
-    (here / "scene.yaml").write_text(SCENE)
-    installed("rtpiv", "trace", files / "pyramid_500.yaml")
-
-    installed.link(True)
-    said = installed("rtpiv", "doctor", "--bench", files / "bench-sim.yaml", fails=True)  # no box is here
-    assert "hides ours" not in said
-    installed("rtpiv", "demo")
-    installed("rtpiv", "demo")  # into the same folder, as whoever has seen it once would
-    page = here / "demo" / "report" / "report.html"
-    assert "<style>" in page.read_text(encoding="utf-8")
-    installed("python", "-P", files / "tour.py", "tour")
-    assert (here / "tour" / "tour.png").exists()
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Cells too faint to be matched alone tell their heights all the same, and noise draws them to no side.
 
 No frame is drawn and no optics is tested: planes of products are those of a sheet at a known height, with noise.
-Whether the optics behind them are right is for frames of the simulator (`test_many_sheets.py`).
+Whether the optics behind them are right is for frames of the simulator (`test_find_sheet.py`).
 """
 
 from dataclasses import replace

@@ -35,7 +35,7 @@ def test_a_broad_ring_tells_much_and_more_pixels_more():
     ],
 )
 def test_what_drawn_sheets_were_told_to_was_foreseen(name, size_px, crop_px, pairs, found_mm):
-    """Sigmas of `test_many_sheets`; behind one ball a sixth of them was promised."""
+    """Sigmas of sheets found in simulated flows; behind one ball a sixth of them was promised."""
     scene = camera(name, size_px, crop_px=crop_px).scene
     low, high = sheet_forecast(scene, double_views(scene, step=3), pairs=pairs).range_mm
     assert low < min(found_mm)

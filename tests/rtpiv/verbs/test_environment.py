@@ -19,17 +19,9 @@ from rtpiv.verbs.evaluate import EvaluationOutput
 from tests.piv.conftest import make_pair
 
 STYLE = "text.usetex: True\naxes.grid: True\nfont.family: NoSuchFont\naxes.facecolor: red\n"
-NOTEBOOK = {
-    "MPLBACKEND": "module://matplotlib_inline.backend_inline", "NUMBA_NUM_THREADS": "-3", "NUMBA_DISABLE_JIT": "1",
-}  # fmt: skip
 UNUSUAL = {
     "MPLBACKEND": "no such backend", "MATPLOTLIBRC": "style", "NUMBA_DISABLE_JIT": "1", "NUMBA_NUM_THREADS": "0",
 }  # fmt: skip
-SCRIPT = """
-import rtpiv
-found = rtpiv.evaluate({frames!r}, out={out!r}, recipe=rtpiv.CorrectionRecipe(mm_per_px=0.1))
-print(found.vectors.measured.sum())
-"""
 
 
 @pytest.fixture(scope="module")
@@ -85,21 +77,6 @@ def test_a_command_draws_the_same_pictures_as_a_script_that_keeps_its_settings(d
     assert command(day, str(tmp_path / "out"), UNUSUAL) == pictures_of(plain)
     vectors = [read_vectors(folder / "vectors.nc").fields["u"] for folder in (tmp_path / "out", plain)]
     np.testing.assert_array_equal(*vectors)
-
-
-@pytest.mark.slow  # the command above runs under as bad ones
-def test_a_script_under_settings_that_stop_libraries(day, tmp_path):
-    frames = [str(day / f"im_{letter}.tif") for letter in "ab"]
-    script = SCRIPT.format(frames=frames, out=str(tmp_path / "out"))
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | NOTEBOOK,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 0
 
 
 @pytest.mark.draws

@@ -3,8 +3,8 @@
     python -m pytest -n0 -p tests.sim.emulators.foreign_words -m "slow or not slow" tests/sim/emulators
 
 With the clients installed this runs their tests and writes what was heard of each into the file; of a client that
-is not there the file keeps what it has.  bnc575_delay_generator and MSmarra/ISEL are no packages: their own demos
-were played on the emulators by hand, with `heard_by` around them.
+is not there the file keeps what it has, as of python-microscope and thorlabs-apt-device.  The demos of
+bnc575_delay_generator and MSmarra/ISEL, which are no packages, were played by hand, with `heard_by` around them.
 """
 
 import json
@@ -20,9 +20,9 @@ from tests.stages.test_devices_page import SPOKEN
 
 FILE = Path(__file__).with_name("foreign_words.json")
 CLIENTS = {  # by how the names of their tests begin: package, and what the page calls it
-    "test_zaber": ("zaber-motion", "zaber-motion"), "test_python_microscope": ("microscope", "python-microscope"),
+    "test_zaber": ("zaber-motion", "zaber-motion"),
     "test_pi_official": ("pipython", "pipython"), "test_pylablib": ("pylablib", "pylablib"),
-    "test_thorlabs_apt_device": ("thorlabs-apt-device", "thorlabs-apt-device"), "test_qmi": ("qmi", "QMI"),
+    "test_qmi": ("qmi", "QMI"),
 }  # fmt: skip
 SECTIONS = {
     "ZaberEmulator": "zaber_ascii", "PiEmulator": "pi_gcs2", "AptEmulator": "thorlabs_apt",

@@ -128,22 +128,6 @@ def test_zaber_official_client_drives_at_a_velocity_and_to_the_ends(zaber):
     assert axis.settings.get("maxspeed") == before
 
 
-def test_python_microscope_drives_the_chain():
-    """It reads answers at fixed columns, and sends no checksums: it must get none back."""
-    zaber = pytest.importorskip("microscope.controllers.zaber", reason="python-microscope is not installed")
-    clock = ScaledClock(20.0)
-    motors = {"1/1": Motor(SCREW), "1/2": Motor(SCREW)}
-    with PtyPort(Line(ZaberEmulator(motors, clock), clock)) as port:
-        chain = zaber.ZaberDaisyChain(port.path, {1: zaber.ZaberDeviceType.STAGE})
-        stage = chain.devices["1"]
-        stage.enable()
-        stage.move_to({"1": 10.0 * PER_MM})
-        assert stage.position["1"] == 10.0 * PER_MM
-        datum_mm = motors["1/1"].carriage_mm
-        stage.move_by({"1": 5.0 * PER_MM})
-        assert motors["1/1"].carriage_mm - datum_mm == pytest.approx(5.0, abs=0.01)
-
-
 def test_zaber_official_client_notices_a_pulled_plug(zaber):
     zaber_motion = pytest.importorskip("zaber_motion")
     connection, _, line = zaber

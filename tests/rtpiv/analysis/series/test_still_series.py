@@ -53,18 +53,3 @@ def test_what_flickers_in_both_pulses_has_no_vector_and_no_mean(day, tmp_path):
         assert solid.any()
         assert not found.fields["chc"][:, solid].any(), name
         assert found.fields["chc"][:, ~solid][:, 4:].mean() > 0.95, name
-
-
-@pytest.mark.slow
-def test_it_is_looked_for_once_and_again_if_its_file_is_lost(day, tmp_path):
-    words = ["evaluate", str(day), *TOLD, "--no-pictures", "-o", str(tmp_path / "out")]
-    assert main(words) == DONE
-    file, chunk = tmp_path / "out" / "still.npz", tmp_path / "out" / "chunks" / "00000.nc"
-    before, vectors = file.stat().st_mtime_ns, chunk.stat().st_mtime_ns
-    assert main(words) == DONE
-    assert (file.stat().st_mtime_ns, chunk.stat().st_mtime_ns) == (before, vectors)
-    content = file.read_bytes()
-    file.write_bytes(content[:-40])
-    assert main(words) == DONE
-    assert kept(tmp_path / "out")[WALL + 2 :].mean() > 0.99
-    assert chunk.stat().st_mtime_ns == vectors  # a function of its frames, not of when it was found
