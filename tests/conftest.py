@@ -21,8 +21,8 @@ first_use.MOST_HELPERS = 0  # all cores have tests
 TRUSTED = (
     "builtins:dict", "tests.daq.bench.test_devices:LampKind",
     "hangs:Hangs", "math:sqrt", "no.such.module:Camera", "no.such:Thing", "no_such_core:Core",
-    "nowhere.at.all:Axis", "nowhere:Lamp", "ophyd.sim:SynAxis", "sim.camera.core:Untrue", "tests_demo_core:Core",
-    "tests_own_axes:TimedAxis", "tests.system.test_mixed_bench:DemoBench",
+    "nowhere.at.all:Axis", "nowhere:Lamp", "ophyd.sim:SynAxis", "sim.camera.core:Untrue",
+    "tests_own_axes:TimedAxis",
 )  # fmt: skip
 os.environ["RTPIV_TRUST"] = ",".join(TRUSTED)
 os.environ.setdefault("RTPIV_THREADS", "1")  # all cores have tests

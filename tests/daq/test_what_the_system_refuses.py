@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import re
 import resource
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from ground.memory import free_bytes, require_memory
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from rtpiv.options import parser_of
 from rtpiv.options.command import commands
-from tests.rtpiv.test_cli import EXAMPLES, SMALL
+from tests.rtpiv.test_cli import SMALL
 from tests.slow_cases import slow
 
 WORDS = {
@@ -134,28 +133,6 @@ def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(lab, tmp_path, word
             json.loads(path.read_text())
         elif path.suffix == ".html":
             assert "</html>" in path.read_text()
-
-
-@pytest.mark.slow
-def test_examples_on_a_full_disk_are_one_sentence_and_can_be_asked_for_again(tmp_path):
-    for before in (False, True):
-        out = tmp_path / f"out{before}"
-        if before:
-            out.mkdir()
-        done = subprocess.run(
-            [sys.executable, "-B", "-c", SMALL_FILES, "600", "setup", "examples", str(out)],
-            env=os.environ | {"PYTHONPATH": str(Path.cwd())}, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == DEVICE, done.stderr
-        assert len(done.stderr.splitlines()) == 1
-        assert re.fullmatch(
-            rf"rtpiv setup examples: {out}\S*: file too large; make room, then .*\n", done.stderr, re.I
-        )
-        assert out.is_dir() == before
-        assert not before or not any(out.iterdir())
-        assert main(["setup", "examples", str(out)]) == DONE
-        copied = {path.relative_to(out) for path in out.rglob("*")}
-        assert copied == {path.relative_to(EXAMPLES) for path in EXAMPLES.rglob("*")}
 
 
 # A process of its own that may not take more memory than it has, but for a little.
@@ -287,17 +264,3 @@ def test_a_cache_that_was_filled_and_cannot_be_written_is_read(tmp_path):
     assert run(READ_ONLY) == ["8.0", "1"]
     assert {path: path.stat().st_mtime_ns for path in cache.rglob("*")} == kept
     assert not list(tmp_path.glob("rtpiv-kernels-*"))
-
-
-@pytest.mark.slow
-def test_a_full_cache_costs_nothing_but_time(tmp_path):
-    (tmp_path / "kernels.py").write_text(
-        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + CACHE
-    )
-    done = subprocess.run(
-        [sys.executable, "-B", str(tmp_path / "kernels.py")],
-        env=os.environ | {"PYTHONPATH": str(Path.cwd()), "RTPIV_CACHE": str(tmp_path / "cache")},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "8.0"

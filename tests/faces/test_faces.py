@@ -47,17 +47,6 @@ def taken_from(packages, folders):
                 yield path, node
 
 
-def test_imports_from_the_top_of_a_package_are_found():
-    assert any(path == Path(__file__) for path, _ in taken_from(("importlib",), ("tests/faces",)))
-
-
-def test_inside_the_project_modules_are_named_in_full():
-    """A name taken from a face would hide which module needs which, and make circles."""
-    shown = {name: set(import_module(name).__all__) for name in FACES}
-    for path, node in taken_from(FACES, FACES):
-        assert not shown[node.module] & {alias.name for alias in node.names}, path
-
-
 def test_nothing_of_ours_takes_a_name_from_the_top_of_a_package():
     """A user's sim.py shares that top (rtpiv.neighbours): asking for a name there would run the user's file."""
     found = taken_from((*FACES, "ground"), (*FACES, "ground", "benchmarks", "rtpiv"))

@@ -206,27 +206,6 @@ def test_a_person_who_stops_while_answers_are_lost_has_stopped(bench, monkeypatc
     assert made.world.true_mm("a") < 60.0
 
 
-@pytest.mark.parametrize("before_mm", [0.2, 5.0, 20.0])
-def test_a_person_who_stops_too_late_for_the_switch_has_stopped(bench, before_mm):
-    """A reference run that is stopped so close to the switch that it brakes onto it."""
-    made = bench("thorlabs_apt", sim={"power_up_mm": 60.0})
-    box, motor = made.line.emulator, made.world.motors["a"]
-
-    def press():
-        box.advance()
-        if motor.carriage_mm < before_mm:
-            box.channel("bay1").speeds = (0, 5, 10**6)  # a long way of braking
-            box.person_stops()
-        else:
-            made.clock.at(made.clock.now_s() + 0.001, press)
-
-    made.clock.at(made.clock.now_s() + 0.1, press)
-    with pytest.raises(MotionStopped):
-        made.stage.home()
-    assert made.stage.is_held
-    assert made.stage.where_mm()["a"] is None
-
-
 def test_its_own_backlash_correction_is_off_before_anything_moves(bench):
     """It would drive past the target, where nobody has looked."""
     made = bench("thorlabs_apt", approach=None, backlash_um=0.0).homed({"a": 60.0})

@@ -44,19 +44,3 @@ def test_code_lines_are_those_without_comments_blank_lines_and_docstrings():
 def test_bare_participles(ours):
     assert budget.is_participle(ours)
     assert not budget.is_participle(f"is_{ours.strip('_')}")
-
-
-def test_words_that_only_end_like_participles():
-    assert not any(map(budget.is_participle, ["seed", "_feed_line", "need", "map_sigma", "refract"]))
-
-
-def test_a_row_above_its_budget_is_named_with_its_excess():
-    (text,) = budget.rows_above({"sim": 12, "daq": 3}, {"sim": 10, "daq": 3})
-    assert text.startswith("sim is 12, 2 above")
-
-
-def test_lowering_writes_what_has_fallen_and_raises_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(budget, "FILE", tmp_path / "budget.toml")
-    budget.FILE.write_text("# kept\n[a]\nsim = 10\ndaq = 3\n")
-    budget.lower({"sim": 8, "daq": 4})
-    assert budget.FILE.read_text() == "# kept\n[a]\nsim = 8\ndaq = 3\n"

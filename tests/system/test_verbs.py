@@ -1,13 +1,8 @@
 """The verbs from outside: words, exit codes, Ctrl-C on (pseudo-)terminals, other programs on our bench."""
 
-import os
 import re
-import signal
-import subprocess
-import sys
 
 import pytest
-import serial
 
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from tests.daq.small_bench import FILES_CAMERA, write_bench, write_frames
@@ -112,35 +107,3 @@ def test_camera_snap(tmp_path, capsys):
     assert out.exists()
     assert main(["bench", "camera", "snap", "--bench", str(path), "-o", str(out)]) == DEVICE
     assert "never overwritten" in capsys.readouterr().err
-
-
-def start(folder, *arguments, **options):
-    command = [sys.executable, "-u", "-m", "rtpiv.command_line.cli", *arguments]
-    environment = os.environ | {"TMPDIR": str(folder), "COLUMNS": "200"}
-    return subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
-    )
-
-
-@pytest.mark.slow
-def test_other_programs_can_use_the_simulated_bench(tmp_path):
-    """A stranger with pyserial talks to a controller on the device file that `emulate` names."""
-    write_bench(tmp_path)
-    process = start(tmp_path, "bench", "emulate", "bench.yaml")
-    try:
-        ports = {}
-        while "camera" not in ports:
-            line = process.stdout.readline()
-            assert line, process.stderr.read()
-            if found := re.match(r"controller (\w+): \w+ on (\S+)", line):
-                ports[found[1]] = found[2]
-            elif found := re.match(r"camera: GenTL producer (\S+)", line):
-                ports["camera"] = found[1]
-        assert os.path.exists(ports["camera"])  # noqa: PTH110
-        with serial.Serial(ports["target"], 115200, timeout=3.0) as port:
-            port.write(b"*IDN?\n")
-            assert port.readline().endswith(b"\n")
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=20)
-    assert process.returncode == DONE

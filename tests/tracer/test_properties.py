@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -37,20 +36,6 @@ def check_rays(result: TraceResult) -> None:
     assert np.all(rays["path_mm"][good] > 0.0)
     assert set(np.unique(rays["key"]).tolist()) == set(result.branches)
     assert np.all((rays["events"] > 0) == (rays["key"] != 1))
-
-
-@pytest.mark.slow
-def test_a_million_random_rays_on_random_scenes() -> None:
-    rng = np.random.default_rng(0)
-    statuses = np.zeros(len(RayStatus), dtype=np.int64)
-    for number in range(100):
-        where = random_scene(rng, most=12, cores=number % 2 == 1)
-        result = trace(where, rays_of(where, rng, 10_000))
-        check_rays(result)
-        statuses += np.bincount(result.rays["status"], minlength=len(statuses))
-    assert statuses.sum() == 1_000_000
-    for status in (RayStatus.RECOVERED, RayStatus.TIR, RayStatus.MISSED_PLANE):
-        assert statuses[status] > 1000  # each fate was met
 
 
 @some

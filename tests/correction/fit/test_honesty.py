@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from correction.fit.adjustment import Adjustment, root_of
 from correction.fit.seen.measurement import MeasuredFrame, whitening
@@ -48,25 +47,6 @@ def bench_off_axis() -> Unknowns:
 
 def drawn(bench: Unknowns, rng: np.random.Generator) -> Scene:
     return bench.scene_at(bench.full(np.clip(rng.normal(size=len(bench.names)), -2.5, 2.5)))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
-    bench, rng = bench_off_axis(), np.random.default_rng(42)
-    ratios: dict[bool, list[np.ndarray]] = {False: [], True: []}
-    for _ in range(200):
-        truth = drawn(bench, rng)
-        frames = [seen(truth, glass, rng) for glass in (False, True)]
-        fit = Adjustment().estimate(bench, bench.start, frames, ())
-        for behind in (False, True):
-            pool = frames[1].corners.pixel[frames[1].behind == behind]
-            pixels = pool[rng.choice(len(pool), 8, replace=False)]
-            off = trace(fit.scene, pixels).plane_mm - trace(truth, pixels).plane_mm
-            ratios[behind].append(off / sigma_at(fit, pixels, behind))
-    for behind, found in ratios.items():  # seen on writing: 0.69 directly, 0.65 behind glass
-        inside = float(np.mean(np.abs(np.concatenate(found)) < 1.0))
-        assert 0.63 <= inside <= 0.73, (behind, inside)
 
 
 def test_sigma_is_the_spread_of_landing_points_under_the_covariance():

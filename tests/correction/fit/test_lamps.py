@@ -30,7 +30,7 @@ from tests.correction.fit.lamps import (
     true_scene,
 )
 from tracer.light import line
-from tracer.light_table import LAMPS_DIFFER_NM, LightTable
+from tracer.light_table import LightTable
 from tracer.media import MEDIA, MELTS, ConstantMedium, shifted
 from tracer.scene.fit_section import FitTable
 from tracer.strategies.ray_map import build_ray_map
@@ -44,7 +44,6 @@ WRONG_SHAPES = (  # half width of the true band; the light of the last one is a 
     (50.0, {"band_nm": [500.0, 600.0]}),
 )
 MEASURED = {"points": [[450.0, 0.0], [550.0, 1.0], [650.0, 0.0]]}
-LAMPS_OFF_NM = ((5.0, -5.0), (-7.0, 6.0), (15.0, 5.0), (30.0, -5.0), (-12.0, -25.0))
 NO_WHITE = ("red_led", "blue_led", "line_590")  # the sigma of a light that is not told is made of white lamps
 
 
@@ -122,37 +121,6 @@ def test_a_light_told_in_the_wrong_shape_is_named_or_in_the_sigma(half_nm, told)
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_one_sigma_is_one_sigma_behind_plastics_in_lamps_that_are_told():
-    """White light lies 1.4 px apart there; what is left of it after all is in the sigma."""
-    parts = []
-    for name in ("white_3000", "white_4000", "white_5000", "white_6500", "mercury"):
-        lamp = LAMPS[name]
-        error, sigma = error_and_sigma(fitted(lamp.share, {**lamp.told, "unsure_nm": 0.0}, PLASTICS), PLASTICS)
-        print(f"plastics, {name}: told {error:.4f} px, sigma {sigma:.4f} px, {error / sigma:.2f}")
-        parts.append(error / sigma)
-    assert 0.8 <= np.sqrt(np.mean(np.square(parts))) <= 1.25
-    assert max(parts) < 1.6
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("lamp", "is_named"), [("red_led", True), ("blue_led", True), ("line_590", False)])
-def test_an_led_that_is_told_as_the_laser_is_in_the_sigma_and_named_when_far_off(lamp, is_named):
-    fit = fitted(LAMPS[lamp].share, {"mean_nm": 532.0}, PLASTICS)
-    error, sigma = error_and_sigma(fit, PLASTICS)
-    print(f"plastics, {lamp} as 532 nm: {error:.4f} px, sigma {sigma:.4f} px, {fit.verdict.wrong_light}")
-    assert error > 0.4
-    assert error <= 1.5 * sigma
-    assert bool(fit.verdict.wrong_light) == is_named
-    assert fit.verdict.is_right != is_named
-    of_light = [weak.sentence for weak in weaknesses(fit) if "light is known to" in weak.sentence]
-    (said,) = [fit.verdict.wrong_light] if is_named else of_light  # once, where it weighs more
-    assert len(of_light) == (not is_named)
-    assert "map's sigma holds" in said
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
 def test_a_wavelength_alone_is_in_the_sigma_though_it_is_the_particles_own():
     """An LED sold as 532 nm, or the laser itself: nobody said which."""
     parts = []
@@ -169,33 +137,6 @@ def test_a_wavelength_alone_is_in_the_sigma_though_it_is_the_particles_own():
     error, sigma = error_and_sigma(fit, PLASTICS)
     assert fit.verdict.is_right
     assert error < 0.3 * sigma  # the laser itself costs what nobody said
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize(
-    ("told", "most_nm"), [({"mean_nm": 540.0}, 8.0), ({"mean_nm": 540.0, "source": "lamp"}, 5.0)]
-)
-def test_a_lamp_of_one_colour_told_10_nm_off_is_in_the_sigma(told, most_nm):
-    fit = fitted(LAMPS["line_550"].share, told, PLASTICS)
-    error, sigma = error_and_sigma(fit, PLASTICS)
-    print(f"plastics, 550 as {told}: error {error:.4f} px, sigma {sigma:.4f} px, {fit.light.sentence}")
-    assert error > 0.05
-    assert error <= 1.25 * 10.0 / most_nm * sigma
-    assert f"known to {most_nm:.1f} nm" in fit.light.sentence
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("board_nm", "flow_nm"), LAMPS_OFF_NM)
-def test_two_lamps_through_two_glasses(board_nm, flow_nm):
-    """A red LED lights the board, a green one the flow; how far each is off is known to nobody."""
-    told = {"mean_nm": 620.0, "source": "lamp"}
-    fit = fitted(620.0 + board_nm, told, PLASTICS, 5.0)
-    error, sigma = error_and_sigma(fit, PLASTICS, 532.0 + flow_nm)
-    print(f"{board_nm:+g} and {flow_nm:+g} nm: {error:.4f} px, sigma {sigma:.4f} px, {fit.verdict.wrong_light}")
-    of_lamps = np.hypot(board_nm, flow_nm) / LAMPS_DIFFER_NM
-    assert fit.verdict.wrong_light or error <= 1.1 * of_lamps * sigma
 
 
 def test_a_width_that_is_told_leaves_the_shape_of_the_light_open():

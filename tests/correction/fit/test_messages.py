@@ -19,7 +19,7 @@ from correction.fit.progress import Progress
 from correction.fit.seen.measurement import MeasuredFrame, TargetFrame
 from tests.correction.fit.drawn_labs import photographed
 from tests.correction.fit.drawn_optics import Lab
-from tests.correction.fit.faulty_labs import KINDS, faulty, right
+from tests.correction.fit.faulty_labs import right
 from tests.loops import loop_over
 from tests.slow_cases import slow
 from tracer.scene.fit_section import FitTable
@@ -176,22 +176,3 @@ def test_few_numbers_and_different_ones_are_named_with_their_sigmas():
     assert all(f"{name} (+-" in words for name in names)
     assert list_names(["a"]) == "a"
     assert list_names(["a", "b", "c"]) == "a, b and c"
-
-
-# Labs with one fault each: every kind can be drawn, and is a fault.
-
-
-SEED = 308
-
-
-def test_there_are_at_least_25_kinds():
-    assert len(KINDS) >= 25
-
-
-@loop_over("kind", KINDS)
-def test_every_kind_changes_something_and_says_what_must_be_said(kind):
-    sound, case = right(SEED), faulty(kind, SEED)
-    parts = ("given", "bare", "glass", "printed", "priors", "named_mm", "spoil", "pose")
-    assert any(getattr(sound, part) != getattr(case, part) for part in parts)
-    assert case.words
-    assert all(re.compile(words) for words in case.words)

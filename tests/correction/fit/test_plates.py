@@ -8,24 +8,20 @@ import scipy
 
 from correction.errors import FitFailed
 from correction.fit.scene_fit import fit_scene
-from correction.fit.seen.bent_view import window_bias
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.seen.prediction import expect, measure, on_each_level
 from correction.fit.solve.solver import Corners, land_corners, residuals
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, demo_scene, misalign
 from sim.renderer.patterns import DotGrid, Plate
-from sim.renderer.render import render, render_irradiance
+from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.fit.test_dots import EXACT
 from tests.correction.target import photographed_plates
 from tests.slow_cases import slow
 from tracer.board import LARGE_DOTS, Dots
 from tracer.camera import Camera, Lens, look_at
 from tracer.scene.fit_section import FitCameraTable, FitTable
 from tracer.scene.scene import Scene
-from tracer.strategies.sensitivity import TargetPose
 
 PITCH_MM, STEP_MM = 5.0, 1.2
 SIGMA = {"scale_sigma": (1e-4, 1e-4), "step_sigma_mm": 0.01}
@@ -119,25 +115,6 @@ def test_a_plate_told_right_fits_and_says_its_step():
     sigma = 1.19 * fit.sigmas[fit.names.index("print.step")]
     assert sigma < 0.005  # told to 0.01
     assert abs(step - STEP_MM) < 4.0 * sigma
-
-
-@pytest.mark.slow
-def test_dots_of_both_levels_behind_two_balls_are_right_once_the_bias_of_circles_is_taken_off():
-    scene = misalign(at_size(demo_scene("two_spheres_500"), 504), 5)
-    board, paper = plate("rows", 1.0, 5.0)
-    frame = EXACT.expose(render_irradiance(scene, paper, samples=5, seed=1), seed=0)
-    shown = expect(scene, TargetPose(), board)
-    shown = shown.take(shown.branch > 0)
-    fit = measure(frame, shown, board)
-    levels = list(on_each_level(shown, TargetPose(), board))
-    aside = np.concatenate(
-        [window_bias(scene, pose, board, shown.take(own), fit.blur_px[own])[0] for pose, own in levels]
-    )
-    off = fit.position_px - aside - shown.pixel
-    for _, own in levels:
-        there = fit.valid & np.isfinite(aside[:, 0]) & own
-        assert there.sum() > 12
-        assert np.sqrt(np.mean(off[there] ** 2)) < 0.02
 
 
 FREE = FitCameraTable(position_mm=20.0, rotation_deg=3.0, focal_px=100.0, principal_px=30.0)

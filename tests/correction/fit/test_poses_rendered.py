@@ -13,7 +13,6 @@ from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.patterns import Pose, place
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.fit.benches import BOARD, SQUARE_MM, bench
 from tracer.bodies import Window
 from tracer.camera import Camera, Lens, look_at
 from tracer.media import ConstantMedium
@@ -104,32 +103,3 @@ def test_three_boards_show_a_tank_of_260_mm_to_2_mm(seed: int) -> None:
     _, thickness, sigma = made.fit(3)
     assert abs(thickness - WATER_MM) < min(2.0, 2.0 * sigma)
     assert alone > 5.0 * sigma
-
-
-@pytest.mark.slow  # the same frames take as long to draw as to fit
-@pytest.mark.timeout(900)
-def test_a_tilted_board_behind_two_balls_shows_how_deep_they_stand() -> None:
-    made = bench("two_spheres_500", 2)
-    hold = Pose((3.0, -2.0, -25.0), (0.25, -0.15, 0.1))
-    print_ = place(Print(SQUARE_MM, 0.4 * SQUARE_MM), hold)
-    tilted = [
-        TargetFrame(
-            f"target_{name}_pose1",
-            render(scene, print_, Sensor(), samples=3, seed=7200 + glass),
-            glass,
-            0.0,
-            "pose1",
-        )
-        for glass, name, scene in ((False, "clear", made.truth.bare()), (True, "glass", made.truth))
-    ]
-    sigma = []
-    for frames in (made.frames, (*made.frames, *tilted)):
-        fit = fit_scene(made.nominal, frames, BOARD)
-        known = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
-        sigma.append([known["sphere1.z"], known["sphere2.z"]])
-        for ball, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
-            off = np.subtract(ball.centre_mm, true.centre_mm)
-            assert (np.abs(off) < 3.0 * np.array([known[f"{ball.name}.{axis}"] for axis in "xyz"])).all()
-        assert not fit.verdict.unlisted
-        assert not fit.verdict.unconfirmed
-    assert (np.array(sigma[1]) < 0.6 * np.array(sigma[0])).all()

@@ -41,12 +41,10 @@ from tracer.pupil import Pupil
 from tracer.scene.fit_section import FitSphereTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
-from tracer.strategies.trace import trace
 
 SMALL = "two_spheres_500", 6, (), (), 714
 SLOW = [("two_spheres_500", 6), ("pair_off_axis", 4), ("three_spheres_500", 3), ("pyramid_500", 5)]
 SLOW += [("one_sphere_250", 7), ("tilted", 8)]
-STACK = ((-20.0, 20.0), (-10.0, -20.0))
 PARAMS = [SMALL, *map(slow, SLOW)]
 
 
@@ -89,25 +87,6 @@ def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
     (tmp_path / "s.npz").write_bytes(b"PK nonsense")
     with pytest.raises(MapFileError):
         MapSigma.load(tmp_path / "s.npz")
-
-
-@pytest.mark.slow
-def test_frames_from_right_to_left_give_the_same_scene_and_map():
-    """A camera that looks by a mirror."""
-    made, usual = bench(*SMALL), fitted(*SMALL).measured_scene
-    camera = made.nominal.camera
-    mirrored = [replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1])) for frame in made.frames]
-    found = fit_scene(replace(made.nominal, camera=camera.mirrored()), mirrored, made.board).measured_scene
-    assert found.camera.is_mirrored
-    assert np.abs(np.subtract(found.camera.position_mm, usual.camera.position_mm)).max() < 1e-3
-    for one, other in zip(found.spheres, usual.spheres, strict=True):
-        assert np.abs(np.subtract(one.centre_mm, other.centre_mm)).max() < 5e-3
-    last = camera.sensor_px[0] - 1.0
-    pixels = np.stack(np.meshgrid(*[np.arange(5.0, last, 31.0)] * 2), axis=-1).reshape(-1, 2)
-    seen, same = trace(usual, pixels), trace(found, pixels * (-1.0, 1.0) + (last, 0.0))
-    both = seen.recovered & same.recovered
-    assert both.mean() > 0.6
-    assert np.median(np.linalg.norm((seen.plane_mm - same.plane_mm)[both], axis=1)) < 1e-3
 
 
 @pytest.mark.slow
@@ -183,18 +162,6 @@ def test_corrected_target_lies_on_the_regular_grid():
     behind = target_error(corrector(frame.image), corrector, made.board).regions["behind glass"]
     assert behind.found >= 40
     assert max(behind.rms_px) <= 0.10
-
-
-@pytest.mark.slow
-def test_stack_separates_depth_from_n():
-    alone, stack = fitted("two_spheres_500", 6), fitted("two_spheres_500", 6, *STACK)
-    for found, true in zip(stack.scene.spheres, bench("two_spheres_500", 6).truth.spheres, strict=True):
-        off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
-        assert off[:2].max() <= 0.010
-        assert off[2] <= 0.060
-        assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.0008
-    name = "glass sphere1+sphere2.n"
-    assert stack.sigmas[stack.names.index(name)] < 0.7 * alone.sigmas[alone.names.index(name)]
 
 
 def test_what_one_plane_cannot_tell_is_said_with_the_cure():

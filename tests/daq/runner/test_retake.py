@@ -1,7 +1,5 @@
 """Frames that are gone or damaged are taken again on request, with the rest of their pair, never silently."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from daq.runner.runner import Runner
 from daq.runner.session import Request, Run, begin, reopen, run_session, steps_to_retake
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import frame_entries, remaining
-from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
 
@@ -80,23 +77,6 @@ def test_a_finished_run_is_taken_again_only_where_it_has_to_be(run):
         reopen(folder.path)
     assert reopen(folder.path, retake=True).again == {6, 7}
     assert folder.is_done  # nothing is touched before the bench is open
-
-
-@pytest.mark.slow
-def test_from_the_command_line(run, capsys):
-    """Check finds it, resume refuses, retake mends it, check is content; done.json is written anew."""
-    pytest.importorskip("harvesters", reason="the simulated camera needs harvesters (extra rtpiv[camera])")
-    _, _, folder, _ = run
-    flip(folder.frame_path(5))
-    before = json.loads((folder.path / "done.json").read_text())["sha256"]
-    path = str(folder.path)
-    assert main(["check", path]) == DEVICE
-    assert main(["acquire", "--resume", path]) == USAGE
-    assert main(["acquire", "--resume", path, "--retake", "--home"]) == DONE
-    assert "taken again for missing or damaged frames: 2 steps" in capsys.readouterr().out
-    assert main(["check", path]) == DONE
-    assert json.loads((folder.path / "done.json").read_text())["sha256"] != before
-    assert main(["acquire", "--resume", path, "--retake"]) == USAGE
 
 
 @pytest.mark.slow

@@ -16,10 +16,9 @@ from daq.runner.session import Request, begin, reopen
 from daq.runs.gaps import gap_sentence
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
-from daq.runs.run_folder import RunFolder, frame_entries, steps_on_disk
+from daq.runs.run_folder import frame_entries, steps_on_disk
 from stages.errors import MotionStopped
 from tests.daq.small_bench import SIDE_PX, files_bench, load
-from tests.slow_cases import slow
 
 FRAMES = 60
 PLAN = f"experiment: stream\nview: clear\nframes: {FRAMES}\n"
@@ -61,16 +60,6 @@ def go(run, camera_class=FilesCamera, folder=None, before=None):
         if before is not None:
             before(hardware, runner)
         return runner.run()
-
-
-def copy_as_killed(source, copy):
-    """What is on the disk at a moment: the journal first, so that every frame of it is there."""
-    for name in ("frames", "corrected"):
-        (copy / name).mkdir(parents=True)
-    for name in ("run.json", "steps.jsonl"):
-        shutil.copy(source / name, copy / name)
-    for path in sorted((source / "frames").glob("*.tif")):
-        shutil.copy(path, copy / "frames" / path.name)
 
 
 def kinds(folder, kind):
@@ -131,36 +120,6 @@ def test_a_whole_stream_has_no_gaps_and_no_further_arm(run):
     assert "gaps" not in done
     assert not kinds(run[2], "arm")
     assert all(number == picture for number, picture in shown(run[2]).items())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("killed_after", [37, slow(38)])
-def test_what_a_killed_stream_has_stays_and_the_rest_is_taken(run, tmp_path, killed_after):
-    """The folder is copied in the middle of the run: what a kill at that moment leaves."""
-    bench, plan, folder, files = run
-    copy = tmp_path / "killed" / folder.path.name
-
-    def press(progress):
-        if progress.stats.written >= killed_after and not copy.exists():
-            copy_as_killed(folder.path, copy)
-
-    with files_bench(bench, files) as hardware:
-        Runner(hardware, [RunCamera(hardware, folder)], plan.steps, watcher=press).run()
-    killed = RunFolder(copy)
-    kept = {n: (killed.frame_path(n)).read_bytes() for n in frame_entries(killed.entries())}
-    assert killed_after <= len(kept) < FRAMES
-    done = go(run, folder=killed)
-    for number, data in kept.items():
-        assert killed.frame_path(number).read_bytes() == data
-    assert not kinds(killed, "discard")
-    (arm,) = kinds(killed, "arm")
-    behind = max(kept) + 1
-    assert arm["frame"] == behind + behind % 2  # a pair begins there
-    gaps = [n for first, last in done.get("gaps", [{"gaps": []}])[0]["gaps"] for n in range(first, last + 1)]
-    assert set(gaps) == set(range(FRAMES)) - set(shown(killed))
-    assert [n for n in shown(killed) if n > max(kept)] == list(range(arm["frame"], FRAMES))
-    assert done["conservation"]["imbalance"] == 0
-    assert check_run(copy).is_sound, check_run(copy).findings
 
 
 def test_one_lost_frame_neither_ends_nor_repeats_the_run(run):

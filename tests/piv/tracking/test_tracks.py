@@ -8,7 +8,7 @@ from piv.errors import PairError
 from piv.tracking.particles import find_particles
 from piv.tracking.tracks import Tracks, local_plane, match, track_particles
 from tests.piv.conftest import draw
-from tests.piv.correlation.flows import mix, rms, vortex, wave
+from tests.piv.correlation.flows import rms, vortex
 from tests.piv.fixed_windows import evaluate_pair
 
 
@@ -48,23 +48,6 @@ def test_images_that_overlap_and_those_at_a_mask_are_given_up():
     valid[:, 42:] = False
     assert len(find_particles(image, valid).place_px) == 0
     assert len(find_particles(image, np.zeros_like(valid)).place_px) == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("truth", [mix, vortex(), wave(64)], ids=["mix", "vortex", "wave of 64 px"])
-def test_tracks_know_more_than_windows_where_seeding_is_thin(particle_pair, truth):
-    """0.002 particles per px: two in a window of 32 px."""
-    pair = particle_pair(truth, seed=7, ppp=0.002)
-    tracks = tracks_of(*pair)
-    off = off_of(tracks, truth)
-    assert len(off) > 0.75 * 0.002 * 512**2
-    assert rms(off) < 0.03
-    field = evaluate_pair(*pair)
-    du, dv = truth(*np.moveaxis(field.grid_px, -1, 0))
-    windows = np.stack([field.u_px - du, field.v_px - dv], -1)[3:-3, 3:-3]
-    near = np.linalg.norm(windows, axis=-1) < 1.0
-    assert rms(off) < 0.9 * rms(windows[near])
-    assert 0.6 < rms(off) / rms(tracks.sigma_px) < 1.3
 
 
 def test_lost_particles_make_hardly_a_wrong_track(particle_pair):

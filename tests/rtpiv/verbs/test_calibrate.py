@@ -2,16 +2,11 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from correction.fitted.map_sigma import MapSigma
-from correction.fitted.scene_sigma import SceneSigma
-from correction.grid import grid_of
-from correction.maps.correction_map import build_correction_map
 from daq.bench.bench_file import load_bench
 from daq.plans.plan import load_plan
 from daq.runner.session import Request, begin
@@ -19,12 +14,9 @@ from ground.map_file import load_arrays
 from piv.files.frame_file import write_frame
 from rtpiv.command_line.cli import main
 from rtpiv.verbs.calibrate import nominal_scene
-from sim.demo.frames import make_frames
 from tests.correction.fit.benches import bench
 from tests.daq.small_bench import TARGET, write_bench
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
-from tracer.strategies.ray_map import build_ray_map
-from tracer.strategies.trace import trace
 
 MADE = "two_spheres_500", 6, (), (), 714
 
@@ -129,28 +121,3 @@ def test_a_run_is_calibrated_by_what_the_scene_file_of_its_bench_lets_change(tmp
     assert scene.content_hash() == bench.scene.content_hash()
     assert priors == load_priors(tmp_path / "scene.yaml")
     assert priors.light is not None
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_the_shapes_of_the_uneven_balls_are_found_from_round_ones(tmp_path):
-    """The example as its file says, but started from spheres: map within 0.02 px rms, and within its sigma."""
-    example = Path(__file__).resolve().parents[3] / "examples" / "uneven_balls.yaml"
-    made = make_frames(load_scene(example), 1008, 5, tmp_path / "frames")
-    nominal = load_scene(tmp_path / "frames" / "scene.yaml")
-    text = dump_scene(nominal.with_bodies([replace(ball, shape_um=()) for ball in nominal.spheres]))
-    free = "fit: {spheres: {out_of_round_um: 10.0, out_of_round_degree: 4}}\n"
-    (tmp_path / "round.yaml").write_text(text + free)
-    words = ["calibrate", str(made.folder), "--scene", str(tmp_path / "round.yaml"), "-o", str(tmp_path / "fit")]
-    assert main([*words, "--no-pictures"]) == 0
-    found, truth, grid = load_scene(tmp_path / "fit" / "scene.yaml"), made.truth, grid_of(made.truth.camera)
-    seen = build_correction_map(truth, build_ray_map(truth))
-    pixels = seen.pixel[0][seen.behind_glass][::37]
-    error_px = (trace(found, pixels).plane_mm - trace(truth, pixels).plane_mm) / grid.pitch_mm
-    sigma_px = SceneSigma.load(tmp_path / "fit" / "fit.npz").sigma(found, pixels) / grid.pitch_mm
-    both = np.isfinite(error_px).all(axis=1) & np.isfinite(sigma_px).all(axis=1)
-    assert both.mean() > 0.98
-    assert np.sqrt(np.mean((error_px[both] / sigma_px[both]) ** 2)) < 2.0
-    place = trace(truth, pixels).plane_mm[both]
-    scale = (error_px[both] * place).sum(axis=0) / (place**2).sum(axis=0)  # of a print that nobody has measured
-    assert np.sqrt(np.mean((error_px[both] - scale * place) ** 2)) < 0.02

@@ -7,7 +7,7 @@ import yaml
 
 from daq.bench.bench_file import load_bench
 from daq.bench.opened import start_simulation
-from rtpiv.command_line.cli import DONE, USAGE, main
+from rtpiv.command_line.cli import DONE, main
 from rtpiv.verbs.init import GivenLab, init
 
 PLATE = """kind: dots
@@ -62,25 +62,3 @@ def test_the_run_of_a_plate_is_calibrated_by_its_own_board(lab, tmp_path, capsys
     assert 1.2 * step["sigma"] < 0.005  # told to 0.01
     assert abs(1.2 * (1.0 + step["value"]) - true_mm) < 4.0 * 1.2 * step["sigma"]
     assert found["map_sigma_px"]["behind glass"]["largest"] < 0.1
-
-
-@pytest.mark.slow  # ten seconds of search; fit/test_plates names what is told wrong, on bare frames
-def test_frames_of_a_plate_that_is_told_as_another_are_refused(lab, tmp_path, capsys):
-    """The same frames in a folder that is no run: the board stands on the command line."""
-    steps = json.loads((run_of(lab) / "run.json").read_text())["steps"]
-    for step in steps:
-        (tmp_path / f"{step['tag']}.tif").write_bytes(
-            (run_of(lab) / "frames" / f"{step['first_frame']:06d}.tif").read_bytes()
-        )
-    (tmp_path / "told.yaml").write_text(PLATE.replace("levels: rows", "levels: columns"))
-    words = [
-        "calibrate",
-        str(tmp_path),
-        "--scene",
-        str(lab / "scene.yaml"),
-        "--board",
-        str(tmp_path / "told.yaml"),
-    ]
-    assert main([*words, "-o", str(tmp_path / "fit"), "--no-pictures"]) == USAGE
-    assert "rtpiv calibrate: " in capsys.readouterr().err
-    assert not (tmp_path / "fit" / "fit.npz").exists()

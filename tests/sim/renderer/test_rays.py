@@ -1,23 +1,20 @@
 """The renderer's rays against hand-computed optics, brute force, and the tracer's other formulation."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sim.demo.scenes import SCENES, demo_scene, misalign
+from sim.demo.scenes import SCENES, demo_scene
 from sim.renderer.kernels.rays import camera_ray, to_plane
 from sim.renderer.kernels.surfaces import World, entry_rod, entry_sphere, snell
 from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, tables_of
-from tests.loops import loop_over
-from tracer.bodies import Core, Rod, Sphere
+from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.strategies.trace import trace
 
 GLASS = ConstantMedium(1.5)
 PLANE = Pose().axes()
@@ -197,30 +194,6 @@ def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
         meeting.append(ray[:3] + ray[3:] * (430.0 - behind) / depth)
     assert meeting[1] == pytest.approx(meeting[0], abs=1e-10)
     assert meeting[2] == pytest.approx(meeting[0], abs=1e-10)
-
-
-@pytest.mark.slow
-@loop_over("cores", [(), ((20.0, 1.0),), ((24.0, 1.0003), (15.0, 1.6), (9.0, 1.2))])
-@loop_over("name", sorted(SCENES))
-def test_two_formulations_agree(name, cores):
-    """Quadratic and vectors here, foot points and rotations in the tracer: the same plane points and light."""
-    scene = misalign(demo_scene(name), seed=7, barrel=0.01)
-    inside = [(share / 25.0, ConstantMedium(n)) for share, n in cores]
-    bodies = [replace(ball, cores=tuple(Core(part * ball.radius_mm, glass) for part, glass in inside))
-              for ball in scene.spheres]  # fmt: skip
-    scene = scene.with_bodies(bodies)
-    scene = scene.with_bodies([*scene.bodies, Rod("support", (-62.0, -62.0, 10.0), (-62.0, -50.0, 40.0), 3.0)])
-    tables = tables_of(scene, Pose(), None)
-    pixels = np.random.default_rng(1).uniform(0.0, 2015.0, (2000, 2))
-    traced = trace(scene, pixels)
-    ours = np.array([to_plane(*camera_ray(u, v, 0.0, 0.0, tables.world.camera), tables.world) for u, v in pixels])
-    good = traced.recovered
-    assert np.array_equal(ours[:, 2] > 0.0, good)
-    assert 0.5 < good.mean() < 1.0
-    near = good & (np.abs(ours[:, :2]).max(axis=1) < 100.0)  # rays nearly along the plane amplify rounding
-    assert ours[near, :2] == pytest.approx(traced.plane_mm[near], abs=1e-7)
-    assert np.median(np.abs(ours[near, :2] - traced.plane_mm[near])) < 1e-11
-    assert ours[good, 2] == pytest.approx(traced.rays["transmittance"][good], abs=1e-9)
 
 
 def test_a_target_that_cuts_a_body_is_refused():

@@ -1,6 +1,5 @@
 """The page of vectors: what a browser asks for is answered from the file, and only one file can be written."""
 
-import http.client
 import json
 from contextlib import contextmanager
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("websockets")
-from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from correction.grid import PlaneGrid
 from piv.correlation.settings import PivSettings
@@ -147,21 +145,6 @@ def test_other_windows_at_a_place_find_the_displacement_and_frames_are_sent(tmp_
             assert 0.0 < row["sigma_u"] < 0.1
             assert row["off"] < 24.0
         assert ask({"windows": [50.0, 0.0]})["refused"] == "choose a place among the vectors"
-
-
-def test_who_does_not_know_the_token_or_comes_from_elsewhere_is_not_let_in(tmp_path):
-    with shown(tmp_path) as page:
-        for token in ("", page.access.token[:-1]):
-            with pytest.raises(ConnectionClosed), looking(page, token):
-                pass
-        for origin in ("http://evil.example", None):
-            with pytest.raises(InvalidStatus), looking(page, origin=origin):
-                pass
-        for path, status in (("/", 200), ("/vectors.js", 200), ("/page.css", 200), ("/vectors.nc", 404)):
-            asked = http.client.HTTPConnection("127.0.0.1", page.access.port, timeout=5.0)
-            asked.request("GET", path)
-            assert asked.getresponse().status == status
-            asked.close()
 
 
 def test_frames_are_shown_only_with_the_scene_of_the_evaluation(tmp_path):

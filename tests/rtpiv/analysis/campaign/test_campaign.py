@@ -27,7 +27,6 @@ from rtpiv.analysis.series.series_folder import SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.analysis.series.series_view import SeriesView
-from rtpiv.analysis.series.split_focus import join_series
 from tests.rtpiv.analysis.campaign.small_campaign import carried_out, content_of, planned, two_runs
 from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, flow_run
 
@@ -160,19 +159,6 @@ def test_days_with_cameras_of_their_own_fits_meet_on_one_grid(runs, tmp_path):
     assert faster == pytest.approx(501.0 / 500.0, abs=5e-4)
     alone = planned(tmp_path / "alone", runs[:1], scenes=scenes[:1], chunk=8)
     assert alone.series("one").about["keys"] == folder.series("one").about["keys"]  # the first keeps its own grid
-
-
-@pytest.mark.slow
-def test_runs_focused_apart_are_joined_out_of_their_campaign(runs, tmp_path):
-    scene = tmp_path / "scene.yaml"
-    ball = "{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: {n: 1.01}}"
-    scene.write_text(SCENE.replace("bodies: []", f"bodies: [{ball}]"))
-    folder = planned(tmp_path / "out", runs, scenes=[scene], chunk=8)
-    carried_out(folder)
-    joined = join_series(folder.series("one").path, folder.series("two").path, tmp_path / "joined")
-    assert {1, 2} <= set(np.unique(joined.source))
-    behind = mean_of_series(SeriesView(folder.series("two").path)).mean_m_s
-    np.testing.assert_array_equal(joined.mean.mean_m_s[joined.source == 2], behind[joined.source == 2])
 
 
 def test_the_forecast_counts_what_is_left(copy):
