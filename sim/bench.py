@@ -232,8 +232,7 @@ class SimulatedBench:
         beside = bench.as_seen_by(name)
         beside = beside.with_scene(replace(bench.scene, camera=beside.scene.camera))
         own = table.cameras.get(name, FurtherCameraTable())
-        flow = table.flow.model_copy(update={"prepared": None})  # pairs of another view
-        its = table.model_copy(update={"aperture": own.aperture, "ring": None, "faults": own.faults, "flow": flow})
+        its = table.model_copy(update={"aperture": own.aperture, "ring": None, "faults": own.faults})
         noise_seed = table.seed + crc32(name.encode())
         world = World(beside, its, stages, self._shows, exposures_before, self.world, noise_seed)
         config = _config_of(name, beside, its, exposures_before, own.clock_ppm)

@@ -54,8 +54,7 @@ def _frames_s(bench: Bench, table: SimulationTable, step: Step) -> float:
     megapixels = 1e-6 * width * height
     if step.pulses is None:
         return step.frames * megapixels * NOISE_S
-    each_s = NOISE_S if table.flow.prepared is not None else FLOW_S
-    return max(frames_s(bench, step), step.frames * megapixels * each_s)
+    return max(frames_s(bench, step), step.frames * megapixels * FLOW_S)
 
 
 def _view_s(bench: Bench, table: SimulationTable, step: Step) -> float:

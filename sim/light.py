@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 from daq.bench.bench_table import Bench
 from sim.flow.images import Flashed, FlowCamera
-from sim.prepared_pairs import PreparedPairs
 from tracer.light import Light
 from tracer.light_table import LightTable
 from tracer.media import ConstantMedium
@@ -86,8 +85,8 @@ class LitFlow:
             self.has_laser = True
             self._flashes.append(self._flash(pulse, time_ns))
 
-    def expose(self, camera: FlowCamera, start_ns: int, end_ns: int, pairs: PreparedPairs | None = None) -> Frame:
-        """Return the frame of an exposure, from pairs made beforehand if there are any."""
+    def expose(self, camera: FlowCamera, start_ns: int, end_ns: int) -> Frame:
+        """Return the frame of an exposure."""
         with self._lock:
             if self.has_laser:
                 seen = [flash for flash in self._flashes if start_ns <= flash.time_ns < end_ns]
@@ -96,10 +95,7 @@ class LitFlow:
                 seen = [self._flash(1 if is_second else 0, start_ns)]
         if not seen:
             return camera.dark(start_ns % 2**40)
-        lit, is_seeded = [flash.lit for flash in seen], seen[0].is_seeded
-        if pairs is not None and is_seeded and len(lit) == 1:
-            return pairs.frame(lit[0].pair, lit[0].pulse, lit[0].since_first_s)
-        return camera.expose_flashes(lit, is_seeded=is_seeded)
+        return camera.expose_flashes([flash.lit for flash in seen], is_seeded=seen[0].is_seeded)
 
     def _flash(self, pulse: int, time_ns: int) -> Flash:
         if self._start_ns is None:

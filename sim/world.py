@@ -24,7 +24,6 @@ from sim.bench_table import SimulationTable
 from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.light import Colours, LitFlow, colours_of, in_each_colour, target_light
-from sim.prepared_pairs import PreparedPairs
 from sim.renderer.patterns import Chessboard, CodedBoard, DotGrid, ParticleSheet, Plate, place, print_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
@@ -131,10 +130,6 @@ class World:
         self._sensor = Sensor(blur_px=table.blur_px)
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
         self._flow_cameras: dict[tuple[float, ...], FlowCamera] = {}
-        self._prepared: PreparedPairs | None = None
-        if self.lit is not None and table.flow.prepared is not None:
-            folder = bench.path.parent / table.flow.prepared
-            self._prepared = PreparedPairs(folder, self.scene)
         self._number = table.seed % WORLDS if table.keeps else secrets.randbelow(WORLDS)
         self._noise_seed = table.seed if noise_seed is None else noise_seed
         self._lock = threading.Lock()
@@ -164,7 +159,7 @@ class World:
             return self.frame(trigger_index, start_ns)
         with self.drawing.count(), self._lock:
             true_mm = self.true_mm()
-            image = self.lit.expose(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
+            image = self.lit.expose(self._flow_camera(true_mm), start_ns, end_ns)
             return self._keep(trigger_index, image, true_mm)
 
     def _keep(

@@ -1,4 +1,4 @@
-"""The `flow` part of a bench file's `simulation` section: which flow, how it is lit, and frames made beforehand.
+"""The `flow` part of a bench file's `simulation` section: which flow, and how it is lit.
 
 simulation:
   flow:
@@ -9,7 +9,6 @@ simulation:
     seeding: {per_px: 0.03, spread: 0.35}
     reflections: {sheet_counts: 40.0, glint_counts: 900.0}
     particle_counts: 70.0
-    prepared: frames/                   # optional: pairs made by sim.prepared_pairs, replayed
 """
 
 from dataclasses import asdict, fields
@@ -52,7 +51,6 @@ class FlowTable(Table):
     seeding: dict[str, Any] = Field(default_factory=dict)
     reflections: dict[str, Any] = Field(default_factory=dict)
     particle_counts: Annotated[float, Field(ge=0.0, le=65535.0)] = 70.0
-    prepared: str | None = None
 
     @model_validator(mode="after")
     def _can_be_made(self) -> "FlowTable":

@@ -10,21 +10,17 @@ from daq.bench.bench_file import load_bench
 from ground.config import Document, validate
 from sim.bench import SimulatedBench
 from sim.flow.table import FlowTable
-from sim.prepared_pairs import main as prepare_main
 from tests.daq.small_bench import write_bench
-from tracer.errors import SceneError
 
 MS = 1_000_000
-FLOW = "flow: {field: shear, parameters: {velocity_mm_s: [0.0, 300.0, 0.0]}, prepared: ready}"
-
-RENDERED = FLOW.replace(", prepared: ready", "")
+FLOW = "flow: {field: shear, parameters: {velocity_mm_s: [0.0, 300.0, 0.0]}}"
 
 
 @pytest.fixture
 def flow_bench(tmp_path):
     made = []
 
-    def start(simulation=RENDERED):
+    def start(simulation=FLOW):
         bench = SimulatedBench(load_bench(write_bench(tmp_path, 120, simulation)), "flow")
         made.append(bench)
         return bench
@@ -66,23 +62,6 @@ def test_the_flow_is_seen_from_where_the_camera_stands(flow_bench, monkeypatch):
     np.testing.assert_array_equal(here, world.expose(2, 100 * MS, 101 * MS))
 
 
-def test_pairs_made_beforehand_are_replayed(flow_bench, tmp_path, monkeypatch):
-    write_bench(tmp_path, 120, FLOW)
-    with pytest.raises(SceneError, match="no prepared pairs"):
-        flow_bench(FLOW)
-    command = ["prepared", str(tmp_path / "bench.yaml"), "--dt-us", "500", "--pairs", "2"]
-    monkeypatch.setattr("sys.argv", command)
-    prepare_main()
-    world = flow_bench(FLOW).world
-    for k in range(4):
-        world.lit.flash(0, 100 * k * MS)
-        world.lit.flash(1, 100 * k * MS + MS // 2)
-    for k, pulse in ((1, 0), (2, 1), (3, 0)):
-        start_ns = 100 * k * MS + pulse * MS // 2
-        kept = np.load(tmp_path / "ready" / f"pair_{k % 2:05d}_{'ab'[pulse]}.npy")
-        np.testing.assert_array_equal(world.expose(0, start_ns, start_ns + 1), kept)
-
-
 def test_without_a_flow_nothing_of_it_is_there(tmp_path):
     bench = SimulatedBench(load_bench(write_bench(tmp_path, 96)), "chessboard")
     try:
@@ -95,7 +74,7 @@ def test_without_a_flow_nothing_of_it_is_there(tmp_path):
 
 def with_cameras(folder, *degrees):
     """A bench of a camera straight before two balls and others at angles on an arc, all without errors."""
-    path = write_bench(folder, 120, f"is_misaligned: false\n{RENDERED}")
+    path = write_bench(folder, 120, f"is_misaligned: false\n{FLOW}")
     scene = (folder / "scene.yaml").read_text()
     pitch_um = 11.0 * 2016 / 120
     camera = re.search(r"^camera:\n(?:  .*\n)+", path.read_text(), re.MULTILINE).group(0)

@@ -1,7 +1,6 @@
 """Light that falls while a shutter is open, and only then; pairs that were made beforehand."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,7 @@ from sim.flow.fields import Flow, Uniform
 from sim.flow.images import FlowCamera
 from sim.flow.table import FlowTable
 from sim.light import LitFlow
-from sim.prepared_pairs import PreparedPairs, prepare
 from tests.sim.flow.test_view import flow_scene
-from tracer.errors import SceneError
-from tracer.light_sheet import LightSheet, SheetSource
 
 MS = 1_000_000
 DT_NS = 500_000
@@ -79,31 +75,6 @@ def test_before_the_seeding_is_open_only_reflections_are_seen(camera):
         lit.expose(camera, 99 * MS, 101 * MS), camera.pair(0, 0.0, 0.0, is_seeded=False)[0]
     )
     assert lit.expose(camera, 199 * MS, 201 * MS).mean() > 37.5
-
-
-def test_prepared_pairs_come_round_and_refuse_another_dt_or_scene(camera, tmp_path):
-    prepare(camera, tmp_path, pairs=2, dt_s=1e-9 * DT_NS, rate_hz=10.0)
-    pairs = PreparedPairs(tmp_path, camera.scene)
-    lit = LitFlow()
-    for k in range(4):
-        lit.flash(0, 100 * k * MS)
-        lit.flash(1, 100 * k * MS + DT_NS)
-    for k in range(4):
-        for pulse, frame in enumerate(camera.pair(k % 2, 1e-9 * DT_NS, 0.1 * (k % 2))):
-            start_ns = 100 * k * MS + pulse * DT_NS
-            np.testing.assert_array_equal(lit.expose(camera, start_ns, start_ns + DT_NS, pairs), frame)
-    lit.flash(0, 900 * MS)
-    lit.flash(1, 901 * MS)
-    with pytest.raises(SceneError, match=r"made for dt = 500 us, not 1000\.0 us"):
-        lit.expose(camera, 901 * MS, 902 * MS, pairs)
-    with pytest.raises(SceneError, match="another scene"):
-        PreparedPairs(tmp_path, replace(camera.scene, camera=camera.scene.camera.coarser(2)))
-    lit_from = LightSheet(thickness_mm=1.0, sources=(SheetSource(180.0, 50.0),))
-    with pytest.raises(SceneError, match="another scene"):
-        PreparedPairs(tmp_path, replace(camera.scene, sheet=lit_from))
-    (tmp_path / "pairs.json").write_text("{}")
-    with pytest.raises(SceneError, match="no prepared pairs"):
-        PreparedPairs(tmp_path, camera.scene)
 
 
 def flow_table(**values):
