@@ -27,7 +27,6 @@ from stages.errors import PortUnavailable
 from tests.daq.flow_bench import write_flow
 from tests.daq.small_bench import EXAMPLES, write_bench
 
-pytest_plugins = ("pytester",)
 FLOW = (
     'devices:\n  flow: {kind: reading, unit: l/min, port: /dev/ttyFLOW, ask: "RATE?\\n", find: "rate ([0-9.]+)"}\n'
 )

@@ -1,4 +1,3 @@
-import time
 from functools import cache
 
 import numpy as np
@@ -8,7 +7,6 @@ import tifffile
 from correction.errors import TargetNotFound
 from correction.target import Chessboard
 from correction.target.board_search import find_board, track_board
-from correction.target.corners import CornerSearch, refine_corners
 from correction.target.lattice_growth import find_saddles, grow_patches
 from correction.target.smooth_view import as_the_largest_piece_says, on_smooth_map
 from piv.errors import FrameError
@@ -261,23 +259,6 @@ def test_supplied_z_stack(name):
     assert len(found) > 3800
     assert np.abs(error.mean(axis=0)).max() < 0.001
     assert error.std(axis=0).max() < 0.0205
-
-
-@pytest.mark.slow
-def test_search_costs_little_more_than_the_corners_it_finds():
-    path = FRAMES / "two_spheres" / "target_clear.tif"
-    if not path.exists():
-        pytest.skip("supplied frame two_spheres/target_clear is not here")
-    image = tifffile.imread(path)
-    found = find_board(image, BOARD)  # compiles
-    ratios = []
-    for _ in range(3):  # measured: 1.4
-        start = time.process_time()
-        refine_corners(image, found.position_px, found.axes_px, search=CornerSearch(start_error_px=0.5))
-        middle = time.process_time()
-        find_board(image, BOARD)
-        ratios.append((time.process_time() - middle) / (middle - start))
-    assert np.median(ratios) < 3.0
 
 
 def test_no_corner_lies_on_any_map():
