@@ -90,6 +90,7 @@ def test_the_first_hour_of_a_new_lab(installed, monkeypatch, tmp_path):
         installed(*expanded(lab, command))
     assert len(list(lab.glob("runs/*shift/report/report.html"))) == 1
 
+    (lab / "fit").rename(lab / "fit-1")  # a fit is not overwritten by that of another run
     (lab / "sim.py").write_text("def mine():\n    return 'mine'\n")
     own = "import sim\n" + script() + "print(sim.mine())\n"
     (lab / "campaign.py").write_text(own)
