@@ -84,6 +84,7 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
     sizes = found.sizes or Sizes((grid.size_px,), np.zeros(grid.shape, np.int64))
     sigma, before = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     parts = np.full((3, *grid.shape), np.nan)
+    unsure = np.zeros(grid.shape, bool)
     if found.refined is not None:
         # 1. Noise of one correlation; it decides which vectors are measured.
         # What the last pass still found: the asymmetry that it causes is no noise.
@@ -129,7 +130,8 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         parts = np.maximum(parts, mismatch_px(vectors, found.seen_px, found.correlation, good, sigma))
         if settings.drop_uncertain:
             dense = found.valid_fraction >= settings.min_valid
-            good = good & ~_is_uncertain(vectors, np.hypot(parts[0], _rms(sigma)), good, dense)
+            unsure = good & _is_uncertain(vectors, np.hypot(parts[0], _rms(sigma)), good, dense)
+            good = good & ~unsure
         # 6. Windows that a mask cuts. A clean rim shows that particles end there, and its windows hold some of
         # them: part of the cut counts.
         seen, given = course.frames.valid, course.frames.given
@@ -144,6 +146,8 @@ def judge_vectors(course: MultipassState, spread_px2: float, added: int, missed_
         # 7. All of these were estimated from the same few particles.
         parts[0] = with_few_pieces(parts[0], sigma, particles, is_usual)
     fill, near = fill_gaps(vectors, good)
+    # A vector that is hardly known still is nearer to the flow than what is interpolated across its place.
+    fill = np.where((unsure & near)[..., None], vectors, fill)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
     flags[good] = VectorFlag.VALID

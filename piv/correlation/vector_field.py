@@ -36,7 +36,7 @@ class VectorFlag(IntEnum):
 
     VALID = 0  # measured
     MASKED = 1  # too few valid pixels in the window, or on the edge of a mask: NaN
-    REPLACED = 2  # rejected as an outlier, the value is interpolated from valid neighbours
+    REPLACED = 2  # no measurement: interpolated from valid neighbours, or a vector that is hardly known
     REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
     STILL = 4  # a wall or a reflection, whose light stands still beside a flow, or no particles: no vector, NaN
 

@@ -56,6 +56,13 @@ def test_windows_of_its_own_keep_the_core_of_a_single_pair(particle_pair, jet):
     assert np.mean(np.abs(off[core & valid]) > 4.0 * sigma[core & valid]) < 0.02
 
 
+def test_where_a_vector_is_hardly_known_it_stays_as_the_replaced_value(particle_pair):
+    truth, off, _, valid = judged(particle_pair, plane_jet(angle_rad=0.5), (3, 4), settings=FOUND_WINDOWS)
+    replaced = ~valid & (np.linalg.norm(truth, axis=-1) > 1.0)
+    assert replaced.sum() > 10
+    assert rms(off[replaced]) < 1.75  # interpolated across the core: 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("jet", UNRESOLVED)
 def test_a_core_of_half_a_window_has_no_vector_or_one_that_is_unsure(particle_pair, jet):
