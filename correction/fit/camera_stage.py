@@ -41,10 +41,11 @@ from correction.fit.seen.measurement import (
 from correction.fit.seen.prediction import expect
 from correction.fit.solve.contact import clear_of, push_apart
 from correction.fit.solve.solver import Solution
-from correction.fit.solve.unknowns import ASIDE, Unknowns, lens_reach, unknowns_of
+from correction.fit.solve.unknowns import ASIDE, WIDER, Unknowns, lens_reach, unknowns_of
 from correction.target.board_search import Predict, corners_in_view
 from correction.target.lattice_growth import LEAST_BOARD
 from correction.target.size_seen import size_seen
+from correction.target.two_levels import dot_spread_mm
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
 from tracer.scene.fit_section import FitCameraTable
@@ -61,6 +62,7 @@ THROUGH_WALLS = 2  # times that corners of the bare target are measured again be
 COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 GRAIN_PX, STEEPEST = 1.0, 0.998  # smoothing against noise; quantile of slopes that is an edge's steepest
+SHADOWED = 2.0  # times as uncertain as dots of the face: shadows cut those of the lower level
 SHADOWS = (
     "dots of the lower level of the plate are seen aside of their places, as if shadows of its grooves cut them;"
     " light it along the grooves or from both sides"
@@ -197,13 +199,22 @@ def _fit_camera(
 
 
 def _allow_shadows(work: Progress, frame: MeasuredFrame) -> None:
-    """Let all dots of the lower level of a plate be aside by as much as shadows make each of them uncertain."""
+    """Let all dots of the lower level of a plate be aside by as much as shadows make each of them uncertain.
+
+    Walls of grooves hide more of the dots on one side of the view than on the other.  Where that makes dots of the
+    lower level much less certain than those of the face, the whole level may be larger as well, which looks like
+    another step.
+    """
     deep = work.unknowns.is_deep(frame.corners.depth_mm)
-    if frame.corners.depth_mm.any() and deep.any():
-        per_px = work.board.square_mm / np.sqrt(np.abs(np.linalg.det(frame.axes_px[deep])))
-        spread_mm = np.linalg.norm(frame.sigma_px[deep], axis=1) * per_px
-        work.shadow_mm = max(work.shadow_mm, float(np.median(spread_mm)))
-        work.unknowns = work.unknowns.loosen(ASIDE, work.shadow_mm)
+    if not frame.corners.depth_mm.any() or not deep.any() or deep.all():
+        return
+    spread_mm = dot_spread_mm(frame.sigma_px, frame.axes_px, work.board.square_mm)
+    shadow_mm, face_mm = float(np.median(spread_mm[deep])), float(np.median(spread_mm[~deep]))
+    work.shadow_mm = max(work.shadow_mm, shadow_mm)
+    if shadow_mm > SHADOWED * face_mm:
+        reach_mm = float(np.linalg.norm(frame.corners.node_mm[deep].std(axis=0)))
+        work.shadow_share = max(work.shadow_share, shadow_mm / reach_mm)
+    work.unknowns = work.unknowns.loosen(ASIDE, work.shadow_mm).loosen([WIDER], work.shadow_share)
 
 
 def _predict_view(work: Progress, frame: TargetFrame, full: NDArray[np.float64]) -> Predict:
@@ -398,7 +409,7 @@ def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution
             lens
             or _heights_exchanged(work)
             or size_told(work)
-            or (SHADOWS if name in ASIDE else "")
+            or (SHADOWS if name in (*ASIDE, WIDER) else "")
             or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
             " of the scene, or allow more in its fit section",
         )

@@ -26,6 +26,7 @@ from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import TARGET
 
+NO_SHADOW = 1e-9  # share by which a lower level in plain light is wider than the face
 RIM_REACH = 0.8  # squares: rims are seen to a few tenths of one
 
 
@@ -51,6 +52,7 @@ class Progress:
         self.poses = {pose: np.zeros(len(TARGET)) for pose in sorted({f.pose for f in frames if f.pose})}
         self.focal_free = len({(f.pose, f.height_mm) for f in self.bare_frames}) >= 3
         self.shadow_mm = 0.0  # by which shadows may shift all dots of the lower level of a plate
+        self.shadow_share = NO_SHADOW  # and draw them apart
         self.unknowns = self.unknowns_of(nominal, priors)
         self.full = self.unknowns.start
         self.bare: list[MeasuredFrame] = []
@@ -76,7 +78,9 @@ class Progress:
         """Number what is free around a nominal scene, with a target that the stage moves along `travel`."""
         board = board or self.board
         aside_mm = max(board.step_sigma_mm, self.shadow_mm)
-        known = (*board.print_sigma, *[aside_mm] * (2 * len(board.depths_mm) - 2))
+        known = board.print_sigma
+        if len(board.depths_mm) > 1:
+            known = (*known, aside_mm, aside_mm, self.shadow_share)
         bench = unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known, self.poses)
         return replace(bench, origin_is_deep=board.depths_mm[-1] < 0.0)
 

@@ -1,11 +1,12 @@
 """Lens and focal length from several poses of a board, none of them measured (Zhang, IEEE PAMI 22, 1330 (2000)).
 
-Unknown are the numbers of the lens, which all frames share, and six of each pose.  With A_i the derivatives of the
-marks of frame i by the shared numbers, B_i those by its pose and r_i what is left, all divided by the standard
+Unknown are the numbers of the lens, which all frames share, and eight of each frame: its pose, and how far shadows
+put the lower level of a plate aside, of which Q is the inverse covariance before.  With A_i the derivatives of the
+marks of frame i by the shared numbers, B_i those by its own and r_i what is left, all divided by the standard
 deviations of the marks, every step solves
 
     [ sum A_i^T A_i + P   A_i^T B_i ] [ shared ]   [ sum A_i^T r_i + P (prior - shared) ]
-    [ B_i^T A_i           B_i^T B_i ] [ pose_i ] = [ B_i^T r_i                          ]
+    [ B_i^T A_i       B_i^T B_i + Q ] [ pose_i ] = [ B_i^T r_i - Q pose_i               ]
 
 by eliminating the poses, frame by frame (the Schur complement of bundle adjustment).  OpenCV's calibrateCamera
 gives the start; its lens terms go from the ideal to the acquired pixel, those of `tracer.camera` the other way.
@@ -57,12 +58,20 @@ class SeenBoard(NamedTuple):
         x, y and z on the board.
     position_px, sigma_px : (N, 2) float64
         u, v in the frame and their standard deviations.
+    aside_mm : float
+        Standard deviation, along x and y, by which all marks that are not at z = 0 may stand aside.
     """
 
     tag: str
     place_mm: NDArray[np.float64]
     position_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
+    aside_mm: float
+
+    @property
+    def weight(self) -> NDArray[np.float64]:
+        """What is known of the numbers (8,) of the frame before, as inverse variances."""
+        return np.array((*[0.0] * 6, *[self.aside_mm**-2.0] * 2))
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,8 @@ class LensFit:
     covariance : (9, 9) float64
         Of `SHARED`.
     poses : dict
-        Frame -> (6,) turn vector and shift [mm] from board to camera.
+        Frame -> (8,) turn vector and shift [mm] from board to camera, and x, y by which the lower level of a plate
+        stands aside [mm].
     residual_px : dict
         Frame -> (N, 2) found minus computed, NaN for marks that are left out.
     board_sigma_px : float
@@ -150,7 +160,7 @@ class LensFit:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """All unknowns: shared ones (9,) and poses (F, 6)."""
+    """All unknowns: shared ones (9,) and those of each frame (F, 8)."""
 
     shared: NDArray[np.float64]
     poses: NDArray[np.float64]
@@ -252,16 +262,19 @@ def _start(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> _Numbers:
     shared[:4] = matrix[0, 0], matrix[0, 2], matrix[1, 2], -float(np.ravel(terms)[0])
     shared[8] = matrix[0, 0] / matrix[1, 1]
     return _Numbers(
-        shared, np.array([np.r_[turn[:, 0], shift[:, 0]] for turn, shift in zip(turns, shifts, strict=True)])
+        shared,
+        np.array([np.r_[turn[:, 0], shift[:, 0], 0.0, 0.0] for turn, shift in zip(turns, shifts, strict=True)]),
     )
 
 
 class _Linear(NamedTuple):
-    """Residuals of a frame (2 N,) and their derivatives by shared numbers (2 N, S) and pose (2 N, 6), weighted."""
+    """Weighted residuals (2 N,) of a frame, derivatives by shared (2 N, S) and own numbers (2 N, 8), priors."""
 
     by_shared: NDArray[np.float64]
     by_pose: NDArray[np.float64]
     left: NDArray[np.float64]
+    known: NDArray[np.float64]
+    pull: NDArray[np.float64]
 
 
 def _residual(shared: NDArray[np.float64], pose: NDArray[np.float64], board: SeenBoard) -> NDArray[np.float64]:
@@ -304,16 +317,19 @@ def _ideal(
 def _project(
     shared: NDArray[np.float64], pose: NDArray[np.float64], place_mm: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Ideal pixels (N, 2) of a board, derivatives by shared numbers (N, 2, 9) and by its pose (N, 2, 6)."""
+    """Ideal pixels (N, 2) of a board, derivatives by shared numbers (N, 2, 9) and its frame's own (N, 2, 8)."""
     import cv2
 
     matrix = np.array(((shared[0], 0.0, shared[1]), (0.0, shared[0], shared[2]), (0.0, 0.0, 1.0)))
-    pixel, by = cv2.projectPoints(place_mm, pose[:3], pose[3:], matrix, None)
+    is_deep, axes = place_mm[:, 2:] != 0.0, cv2.Rodrigues(pose[:3])[0][:, :2]
+    # A plate turns about a level that stands still: whichever of both is aside, its shift makes up for it.
+    pixel, by = cv2.projectPoints(place_mm + is_deep * (*pose[6:], 0.0), pose[:3], pose[3:6], matrix, None)
     by = by.reshape(len(place_mm), 2, -1)
     by_shared = np.zeros((len(place_mm), 2, len(shared)))
     by_shared[..., 0] = by[..., 6] + by[..., 7]
     by_shared[..., 1:3] = by[..., 8:10]
-    return np.asarray(pixel[:, 0], np.float64), by_shared, np.asarray(by[..., :6], np.float64)
+    by_own = np.concatenate((by[..., :6], is_deep[:, None] * (by[..., 3:6] @ axes)), axis=-1)
+    return np.asarray(pixel[:, 0], np.float64), by_shared, np.asarray(by_own, np.float64)
 
 
 def _linearise(numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]]) -> list[_Linear]:
@@ -328,7 +344,8 @@ def _linearise(numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[ND
         )
         every = np.linalg.solve(by_acquired, every) / board.sigma_px[own][..., None]
         rows = every.reshape(-1, every.shape[-1])
-        out.append(_Linear(rows[:, : len(scale)], rows[:, len(scale) : -1], rows[:, -1]))
+        known, pull = board.weight * pose_scale**2, -board.weight * pose * pose_scale
+        out.append(_Linear(rows[:, : len(scale)], rows[:, len(scale) : -1], rows[:, -1], known, pull))
     return out
 
 
@@ -336,7 +353,7 @@ def _scales(numbers: _Numbers) -> tuple[NDArray[np.float64], NDArray[np.float64]
     """Return sizes of a change of shared numbers and of a pose that matter about alike."""
     focal, far = numbers.shared[0], float(np.median(numbers.poses[:, 5]))
     shared = np.array((focal, focal, focal, *([1.0] * (len(numbers.shared) - 3))))
-    return shared, np.array((1.0, 1.0, 1.0, far, far, far))
+    return shared, np.array((1.0, 1.0, 1.0, *[far] * 5))
 
 
 class _Reduced(NamedTuple):
@@ -350,10 +367,10 @@ class _Reduced(NamedTuple):
 
 def _reduce(frame: _Linear, damping: float = 0.0) -> _Reduced:
     """Eliminate the pose of a frame."""
-    a, b, r = frame
-    normal = b.T @ b
+    a, b, r, known, pull = frame
+    normal = b.T @ b + np.diag(known)
     normal = normal + damping * np.diag(np.diag(normal))
-    gain = np.asarray(np.linalg.solve(normal, np.column_stack((b.T @ a, b.T @ r))), np.float64)
+    gain = np.asarray(np.linalg.solve(normal, np.column_stack((b.T @ a, b.T @ r + pull))), np.float64)
     coupling = a.T @ b
     return _Reduced(a.T @ a - coupling @ gain[:, :-1], a.T @ r - coupling @ gain[:, -1], gain[:, :-1], gain[:, -1])
 
@@ -396,7 +413,7 @@ def _cost(
     numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]], weight: NDArray[np.float64]
 ) -> float:
     off = [
-        ((_residual(numbers.shared, pose, board)[own] / board.sigma_px[own]) ** 2).sum()
+        ((_residual(numbers.shared, pose, board)[own] / board.sigma_px[own]) ** 2).sum() + board.weight @ pose**2
         for board, own, pose in zip(boards, used, numbers.poses, strict=True)
     ]
     total = float(sum(off) + (weight * (numbers.shared - SQUARE) ** 2).sum())

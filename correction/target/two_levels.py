@@ -183,3 +183,21 @@ def _merge(patches: list[Patch]) -> Patch:
     )
     lattice_axes(index[first], position, axes, True)
     return Patch(index[first], position, axes, sign)
+
+
+def dot_spread_mm(
+    sigma_px: NDArray[np.float64], axes_px: NDArray[np.float64], side_mm: float
+) -> NDArray[np.float64]:
+    """Standard deviations (N,) of dots on the plate [mm], both directions together.
+
+    Parameters
+    ----------
+    sigma_px : (N, 2) float64
+        Standard deviations of u and v.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement in the image by one side of the lattice along x and y of the plate.
+    side_mm : float
+        Length of that side.
+    """
+    per_px = side_mm / np.sqrt(np.abs(np.linalg.det(axes_px)))
+    return np.asarray(np.linalg.norm(sigma_px, axis=1) * per_px)

@@ -10,6 +10,7 @@ from correction.errors import TargetNotFound, ViewsMissing
 from correction.lens.lens_fit import LEAST_POSES, SHARED, LensFit, SeenBoard, fit_lens
 from correction.target.board_search import find_lattice
 from correction.target.chessboard import Chessboard
+from correction.target.two_levels import dot_spread_mm
 from daq.atomic_write import write_json, write_text
 from daq.runs.acquired import read_acquired
 from ground.plain_words import quantity
@@ -79,7 +80,13 @@ def calibrate_lens(
                 missed[path.name] = str(error)
                 continue
             missed.pop(path.name, None)
-            seen.append(SeenBoard(path.name, found.board.place_mm(found.index), found.position_px, found.sigma_px))
+            place_mm = found.board.place_mm(found.index)
+            # A quarter of all dots, half of a level: as much as shadows make those of the worse level uncertain.
+            aside_mm = max(
+                found.board.step_sigma_mm,
+                float(np.quantile(dot_spread_mm(found.sigma_px, found.axes_px, board.square_mm), 0.75)),
+            )
+            seen.append(SeenBoard(path.name, place_mm, found.position_px, found.sigma_px, aside_mm))
             if board.codes is not None and found.board != board:  # one frame shows the layout for all
                 board = found.board
                 waiting += [file for file in files if file.name in missed]

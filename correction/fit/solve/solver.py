@@ -267,8 +267,9 @@ def free_rates(
         normal = np.array(unknowns.pose(full, corners.height_number).axes[2])
         by_depth = rays.rate[:, :, -len(TARGET) : -3] @ normal
         by_print += (by_depth * corners.depth_mm[:, None])[:, :, None] * levels[0]
-        if len(aside := levels[1:]):
-            by_print += unknowns.is_deep(corners.depth_mm)[:, None, None] * aside
+        if len(seen := levels[1:]):
+            by_level = seen[:2] + corners.node_mm[:, :, None] * seen[2]
+            by_print += unknowns.is_deep(corners.depth_mm)[:, None, None] * by_level
     return np.asarray(of_rays - by_print)
 
 

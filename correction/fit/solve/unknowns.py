@@ -3,12 +3,12 @@
 All numbers of the bench stand in one FULL vector:
 
     camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
-                | 45 of each ball out of round | 6 of each pose of the target | 2 or 5 of the print
+                | 45 of each ball out of round | 6 of each pose of the target | 2 or 6 of the print
 
 in the units of `tracer.strategies.sensitivity`; the last ones are by how much of itself the print is wider and
-higher than it was measured, and of a plate with two levels by how much the step is deeper, and how far the dots of
-the lower level stand aside of their places, as shadows of its grooves show them.  The FREE vector x is shorter and
-in units of the prior's sigmas:
+higher than it was measured, and of a plate with two levels by how much the step is deeper, how far the dots of the
+lower level stand aside of their places, and by how much farther apart, as shadows of its grooves show them.  The
+FREE vector x is shorter and in units of the prior's sigmas:
 
     full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
 
@@ -47,7 +47,8 @@ from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
 ASIDE = ("print.aside_x", "print.aside_y")  # the lower level of a plate [mm]
-PRINT = ("print.stretch_x", "print.stretch_y", "print.step", *ASIDE)  # the last three of plates with two levels
+WIDER = "print.wider"  # and by how much of itself it is larger than the face
+PRINT = ("print.stretch_x", "print.stretch_y", "print.step", *ASIDE, WIDER)  # from the third on: two levels
 BY_HAND = (1000.0, 1.0)  # mm, rad: sigma of a pose by hand, so wide that frames alone decide
 NOTHING_BY_HAND: Mapping[str, NDArray[np.float64]] = {}
 SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
@@ -170,9 +171,10 @@ class Unknowns:
         self, full: NDArray[np.float64], node_mm: NDArray[np.float64], depth_mm: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Places (N, 2) on the target of marks that were measured at `node_mm` (N, 2), at depths (N,)."""
-        aside = full[self.print_place.stop + 1 :]
         stretched = self.stretch(full)[:2] * node_mm
-        return np.asarray(stretched + self.is_deep(depth_mm)[:, None] * aside if len(aside) else stretched)
+        if len(seen := full[self.print_place.stop + 1 :]):
+            stretched += self.is_deep(depth_mm)[:, None] * (seen[:2] + seen[2] * node_mm)
+        return np.asarray(stretched)
 
     def is_deep(self, depth_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which marks, at depths (N,), are on the lower level of a plate, in the shadow of grooves."""
@@ -336,7 +338,7 @@ def unknowns_of(
         Unit vector along which the stage moves the target to its heights.
     print_sigma : tuple of float
         How well width and height of the print are known, and the step of a plate, as shares of them; then how
-        well the place of its lower level is, along x and y [mm].
+        well the place of its lower level is, along x and y [mm], and its size, as a share.
     poses : dict
         Name of each pose by hand -> where it is looked for first (6,) [mm, rad]; nothing is known of it before.
     """
