@@ -64,8 +64,8 @@ LARGE_DEG = 30.0  # what a turn of the board is believed to be
 GRAIN_PX, STEEPEST = 1.0, 0.998  # smoothing against noise; quantile of slopes that is an edge's steepest
 SHADOWED = 2.0  # times as uncertain as dots of the face: shadows cut those of the lower level
 SHADOWS = (
-    "dots of the lower level of the plate are seen aside of their places, as if shadows of its grooves cut them;"
-    " light it along the grooves or from both sides"
+    "dots of the lower level of the plate are seen aside of their places, as if shadows or walls of grooves cut"
+    " them; light it along the grooves or from both sides, and turn it until no wall hides a dot from the camera"
 )
 BLURRED_PX, BLURRED = 2.0, 0.12  # pixels, and share of a square, from which an edge hides marks of 0.4 squares
 
