@@ -70,7 +70,7 @@ class SeenBoard(NamedTuple):
 
     @property
     def weight(self) -> NDArray[np.float64]:
-        """What is known of the numbers (8,) of the frame before, as inverse variances."""
+        """Inverse variances (8,) of the numbers of the frame, as known before the fit."""
         return np.array((*[0.0] * 6, *[self.aside_mm**-2.0] * 2))
 
 
