@@ -78,9 +78,7 @@ class Progress:
         """Number what is free around a nominal scene, with a target that the stage moves along `travel`."""
         board = board or self.board
         aside_mm = max(board.step_sigma_mm, self.shadow_mm)
-        known = board.print_sigma
-        if len(board.depths_mm) > 1:
-            known = (*known, aside_mm, aside_mm, self.shadow_share)
+        known = (*board.print_sigma, *(aside_mm, aside_mm, self.shadow_share) * (len(board.depths_mm) - 1))
         bench = unknowns_of(nominal, self.heights, priors, self.focal_free, travel, known, self.poses)
         return replace(bench, origin_is_deep=board.depths_mm[-1] < 0.0)
 

@@ -1,12 +1,12 @@
 """Lens and focal length from several poses of a board, none of them measured (Zhang, IEEE PAMI 22, 1330 (2000)).
 
 Unknown are the numbers of the lens, which all frames share, and eight of each frame: its pose, and how far shadows
-put the lower level of a plate aside, of which Q is the inverse covariance before.  With A_i the derivatives of the
-marks of frame i by the shared numbers, B_i those by its own and r_i what is left, all divided by the standard
-deviations of the marks, every step solves
+put the lower level of a plate aside, which two more equations bound.  With A_i the derivatives of the marks of
+frame i by the shared numbers, B_i those by its own and r_i what is left, all divided by the standard deviations of
+the marks, every step solves
 
     [ sum A_i^T A_i + P   A_i^T B_i ] [ shared ]   [ sum A_i^T r_i + P (prior - shared) ]
-    [ B_i^T A_i       B_i^T B_i + Q ] [ pose_i ] = [ B_i^T r_i - Q pose_i               ]
+    [ B_i^T A_i           B_i^T B_i ] [ pose_i ] = [ B_i^T r_i                          ]
 
 by eliminating the poses, frame by frame (the Schur complement of bundle adjustment).  OpenCV's calibrateCamera
 gives the start; its lens terms go from the ideal to the acquired pixel, those of `tracer.camera` the other way.
@@ -67,11 +67,6 @@ class SeenBoard(NamedTuple):
     position_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
     aside_mm: float
-
-    @property
-    def weight(self) -> NDArray[np.float64]:
-        """Inverse variances (8,) of the numbers of the frame, as known before the fit."""
-        return np.array((*[0.0] * 6, *[self.aside_mm**-2.0] * 2))
 
 
 @dataclass(frozen=True)
@@ -268,13 +263,11 @@ def _start(boards: Sequence[SeenBoard], sensor_px: tuple[int, int]) -> _Numbers:
 
 
 class _Linear(NamedTuple):
-    """Weighted residuals (2 N,) of a frame, derivatives by shared (2 N, S) and own numbers (2 N, 8), priors."""
+    """Weighted residuals of a frame (M,), their derivatives by shared (M, S) and own numbers (M, 8)."""
 
     by_shared: NDArray[np.float64]
     by_pose: NDArray[np.float64]
     left: NDArray[np.float64]
-    known: NDArray[np.float64]
-    pull: NDArray[np.float64]
 
 
 def _residual(shared: NDArray[np.float64], pose: NDArray[np.float64], board: SeenBoard) -> NDArray[np.float64]:
@@ -344,8 +337,11 @@ def _linearise(numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[ND
         )
         every = np.linalg.solve(by_acquired, every) / board.sigma_px[own][..., None]
         rows = every.reshape(-1, every.shape[-1])
-        known, pull = board.weight * pose_scale**2, -board.weight * pose * pose_scale
-        out.append(_Linear(rows[:, : len(scale)], rows[:, len(scale) : -1], rows[:, -1], known, pull))
+        # What is known of the shift of a level is two more equations.
+        known = np.pad(np.diag(pose_scale[6:]), ((0, 0), (rows.shape[1] - 3, 1)))
+        known[:, -1] = -pose[6:]
+        rows = np.concatenate((rows, known / board.aside_mm))
+        out.append(_Linear(rows[:, : len(scale)], rows[:, len(scale) : -1], rows[:, -1]))
     return out
 
 
@@ -367,10 +363,10 @@ class _Reduced(NamedTuple):
 
 def _reduce(frame: _Linear, damping: float = 0.0) -> _Reduced:
     """Eliminate the pose of a frame."""
-    a, b, r, known, pull = frame
-    normal = b.T @ b + np.diag(known)
+    a, b, r = frame
+    normal = b.T @ b
     normal = normal + damping * np.diag(np.diag(normal))
-    gain = np.asarray(np.linalg.solve(normal, np.column_stack((b.T @ a, b.T @ r + pull))), np.float64)
+    gain = np.asarray(np.linalg.solve(normal, np.column_stack((b.T @ a, b.T @ r))), np.float64)
     coupling = a.T @ b
     return _Reduced(a.T @ a - coupling @ gain[:, :-1], a.T @ r - coupling @ gain[:, -1], gain[:, :-1], gain[:, -1])
 
@@ -413,7 +409,8 @@ def _cost(
     numbers: _Numbers, boards: Sequence[SeenBoard], used: Sequence[NDArray[np.bool_]], weight: NDArray[np.float64]
 ) -> float:
     off = [
-        ((_residual(numbers.shared, pose, board)[own] / board.sigma_px[own]) ** 2).sum() + board.weight @ pose**2
+        ((_residual(numbers.shared, pose, board)[own] / board.sigma_px[own]) ** 2).sum()
+        + ((pose[6:] / board.aside_mm) ** 2).sum()
         for board, own, pose in zip(boards, used, numbers.poses, strict=True)
     ]
     total = float(sum(off) + (weight * (numbers.shared - SQUARE) ** 2).sum())

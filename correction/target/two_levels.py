@@ -192,12 +192,10 @@ def dot_spread_mm(
 
     Parameters
     ----------
-    sigma_px : (N, 2) float64
-        Standard deviations of u and v.
-    axes_px : (N, 2, 2) float64
-        Columns: displacement in the image by one side of the lattice along x and y of the plate.
+    sigma_px, axes_px
+        As in `BoardDetection`.
     side_mm : float
-        Length of that side.
+        Side of the lattice.
     """
     per_px = side_mm / np.sqrt(np.abs(np.linalg.det(axes_px)))
     return np.asarray(np.linalg.norm(sigma_px, axis=1) * per_px)

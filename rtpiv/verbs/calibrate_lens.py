@@ -82,10 +82,8 @@ def calibrate_lens(
             missed.pop(path.name, None)
             place_mm = found.board.place_mm(found.index)
             # A quarter of all dots, half of a level: as much as shadows make those of the worse level uncertain.
-            aside_mm = max(
-                found.board.step_sigma_mm,
-                float(np.quantile(dot_spread_mm(found.sigma_px, found.axes_px, board.square_mm), 0.75)),
-            )
+            shadow_mm = np.quantile(dot_spread_mm(found.sigma_px, found.axes_px, board.square_mm), 0.75)
+            aside_mm = max(found.board.step_sigma_mm, float(shadow_mm))
             seen.append(SeenBoard(path.name, place_mm, found.position_px, found.sigma_px, aside_mm))
             if board.codes is not None and found.board != board:  # one frame shows the layout for all
                 board = found.board
