@@ -36,6 +36,7 @@ FIRST_HOUR = (  # in a folder for it, with a lab beside it of which nothing was 
     "report runs/*plan-shift --scene fit/scene.yaml",
     "acquire plan-flow.yaml --bench bench-flow.yaml --simulate --home --operator me",
     "mean runs/*plan-flow --scene fit/scene.yaml",
+    "sheet runs/*plan-flow --scene fit/scene.yaml -o sheet",
 )
 
 
