@@ -1,7 +1,6 @@
 """10 Hz pairs (20 frames/s) to the disk, corrected as they arrive, through Harvesters or Aravis: losses, latency.
 
     python -m benchmarks.pipeline --seconds 60 --method bilinear -o benchmarks/results
-    python -m benchmarks.pipeline --flow --seconds 120      # pairs fired by a timing unit, chunk by chunk
     python -m benchmarks.pipeline --live --viewer browser   # with somebody who looks: what that costs, and whom
 
 The simulated camera replays two rendered frames (2016 x 2016, Mono12p), so that it costs little; everything behind
@@ -12,7 +11,6 @@ the page when the first frame has come.
 
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -37,15 +35,11 @@ from rtpiv.command_line.cli import ONE_THREAD
 from rtpiv.example_files import examples
 from rtpiv.verbs.acquire import run_pages
 from rtpiv.verbs.operator import ScriptOperator
-from sim.arranged import true_scene
-from sim.bench_table import simulation_of
 from sim.demo.scenes import demo_scene
-from sim.prepared_pairs import prepare
 from sim.renderer.patterns import print_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 
-PREPARED_PAIRS = 8
 SETTINGS = """camera:
   backend: {backend}
   settings: {{PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerSelector: FrameStart, TriggerMode: "Off",
@@ -73,20 +67,6 @@ def write_bench(folder: Path, rate_hz: float, backend: str) -> Path:
     return folder / "bench.yaml"
 
 
-def write_flow_bench(folder: Path, backend: str) -> Path:
-    """The example bench for flows, whose camera replays pairs that were made beforehand."""
-    text = (examples() / "bench-flow.yaml").read_text(encoding="utf-8")
-    text = text.replace("backend: harvesters", f"backend: {backend}").replace("timeout_s: 60.0", "timeout_s: 5.0")
-    text = re.sub(r"  flow: .*\n", "  flow: {prepared: pairs}\n", text)
-    (folder / "bench.yaml").write_text(text, encoding="utf-8")
-    (folder / "two_spheres_500.yaml").write_bytes((examples() / "two_spheres_500.yaml").read_bytes())
-    bench = load_bench(folder / "bench.yaml")
-    table = simulation_of(bench)
-    camera = table.flow.camera(true_scene(bench, table), table.seed, table.pupil)
-    prepare(camera, folder / "pairs", pairs=PREPARED_PAIRS, dt_s=500e-6, rate_hz=10.0)
-    return folder / "bench.yaml"
-
-
 class Viewer:
     """Somebody who opens the page; a process of its own (`benchmarks.viewer`)."""
 
@@ -104,13 +84,8 @@ class Viewer:
 def measure(folder: Path, asked: Namespace) -> dict[str, Any]:
     """Run the stream once; return books, latencies and times."""
     count = round(asked.seconds * asked.rate_hz)
-    if asked.flow:
-        bench = load_bench(write_flow_bench(folder, asked.backend))
-        text = (examples() / "plan-flow.yaml").read_text(encoding="utf-8")
-        text = text.replace("pairs: 1000", f"pairs: {count // 2}").replace("background: {pairs: 50}\n", "")
-    else:
-        bench = load_bench(write_bench(folder, asked.rate_hz, asked.backend))
-        text = f"experiment: stream\nview: glass\nframes: {count}\n"
+    bench = load_bench(write_bench(folder, asked.rate_hz, asked.backend))
+    text = f"experiment: stream\nview: glass\nframes: {count}\n"
     (folder / "plan.yaml").write_text(text)
     plan = load_plan(folder / "plan.yaml", bench)
     correction = {"correct": not asked.no_correct, "method": asked.method, "live_queue": asked.live_queue}
@@ -160,7 +135,6 @@ def measure(folder: Path, asked: Namespace) -> dict[str, Any]:
             for entry in entries
             if entry["kind"] == "chunk"
         ],
-        "flow": counts["flow"],
         "waited_unseen_ms": {"p50": round(float(np.median(unseen_ms)), 2),
                              "p99": round(float(np.percentile(unseen_ms, 99)), 2)},
         "frames_per_s": round((len(frames) - 1) / float(np.ptp(received_ns)) * 1e9, 2),
@@ -176,7 +150,7 @@ def main() -> None:
         os.execve(sys.executable, command, os.environ | ONE_THREAD)
     asked = options(
         __doc__, out=Path("benchmarks/results"), seconds=60.0, rate_hz=20.0, method="quintic",
-        backend="harvesters", live_queue=1, flow=False, live=False, viewer="none", no_correct=False,
+        backend="harvesters", live_queue=1, live=False, viewer="none", no_correct=False,
     )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=asked.out) as folder:  # the disk that is measured
