@@ -23,7 +23,7 @@ CASES = (
 @pytest.mark.parametrize("words", CASES, ids=lambda words: "-".join(words[:2]))
 def test_a_loop_is_one_sentence(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    Path("scene.yaml").write_text(SCENE.format(x=0.0))
+    Path("scene.yaml").write_text(SCENE)
     for name in ("loop", "loop.yaml", "loop.tif"):
         Path(name).symlink_to(name)
     assert main(list(words)) == USAGE
