@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ground.rows import run_rows
 from piv.correlation.kernels.median import median_residual
 from piv.correlation.planes import FILL_SIGMA, smooth_field
 
@@ -19,7 +20,11 @@ MIN_NEIGHBOURS = 5  # fewer do not make a median worth the name
 
 
 def outliers(
-    field: NDArray[np.float64], candidates: NDArray[np.bool_], threshold: float, epsilon_px: float
+    field: NDArray[np.float64],
+    candidates: NDArray[np.bool_],
+    threshold: float,
+    epsilon_px: float,
+    threads: int | None = None,
 ) -> NDArray[np.bool_]:
     """Find vectors that contradict their neighbours.
 
@@ -33,6 +38,8 @@ def outliers(
         Largest accepted normalised residual.
     epsilon_px : float
         Usual noise [px].
+    threads : int, optional
+        Threads to use; by default `ground.rows.thread_count`.
 
     Returns
     -------
@@ -40,7 +47,7 @@ def outliers(
         Rejected vectors.  A vector with fewer than five neighbours is not rejected.
     """
     rejected: NDArray[np.bool_] = candidates & (
-        _residual(field, candidates, candidates, epsilon_px, threshold) > threshold
+        _residual(field, candidates, candidates, epsilon_px, threshold, threads) > threshold
     )
     accepted = candidates & ~rejected
     if not rejected.any() or not accepted.any():
@@ -48,7 +55,7 @@ def outliers(
     side = 2 * RADIUS + 1
     judged: NDArray[np.bool_] = candidates & scipy.ndimage.binary_dilation(rejected, np.ones((side, side), bool))
     trend = smooth_field(field, accepted, FILL_SIGMA)
-    judged &= _residual(field - trend, accepted, judged, epsilon_px, threshold) > threshold
+    judged &= _residual(field - trend, accepted, judged, epsilon_px, threshold, threads) > threshold
     return judged
 
 
@@ -58,14 +65,22 @@ def _residual(
     judged: NDArray[np.bool_],
     epsilon_px: float,
     threshold: float,
+    threads: int | None,
 ) -> NDArray[np.float64]:
     """Normalised median residual of the judged vectors (ny, nx), exact where it may exceed `threshold`.
 
     NaN elsewhere or without neighbours; 0 where all neighbours lie so near that it cannot.
     """
     near = threshold * epsilon_px
-    residual, work = np.full(usable.shape, np.nan), np.empty((2 * RADIUS + 1) ** 2)
+    residual = np.full(usable.shape, np.nan)
     field = np.ascontiguousarray(field)  # a kernel is compiled once more for slices
     usable, judged = np.ascontiguousarray(usable), np.ascontiguousarray(judged)
-    median_residual(field, usable, judged, RADIUS, epsilon_px, near, MIN_NEIGHBOURS, 0, len(field), work, residual)
+
+    def rows(first: int, last: int) -> None:
+        work = np.empty((2 * RADIUS + 1) ** 2)
+        median_residual(
+            field, usable, judged, RADIUS, epsilon_px, near, MIN_NEIGHBOURS, first, last, work, residual
+        )
+
+    run_rows(rows, len(field), threads=threads)
     return residual

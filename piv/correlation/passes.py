@@ -187,7 +187,7 @@ def _accept_vectors(
 ) -> tuple[NDArray[np.bool_], Floats]:
     """Vectors that were measured and fit their neighbours, or are proven by their own peak; and peak ratios."""
     candidates: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=-1)
-    suspects = _suspects(vectors, candidates, grid, settings, sizes)
+    suspects = _suspects(vectors, candidates, grid, settings, sizes, threads)
     good = candidates & ~suspects
     unknown = suspects & np.isnan(ratio)
     if unknown.any():
@@ -207,7 +207,12 @@ def _accept_vectors(
 
 
 def _suspects(
-    vectors: Floats, candidates: NDArray[np.bool_], grid: WindowGrid, settings: PivSettings, sizes: Sizes | None
+    vectors: Floats,
+    candidates: NDArray[np.bool_],
+    grid: WindowGrid,
+    settings: PivSettings,
+    sizes: Sizes | None,
+    threads: int | None,
 ) -> NDArray[np.bool_]:
     """Vectors (ny, nx) that their neighbours contradict: those half a window away, as nearer ones see the same."""
     apart = [1] if sizes is None else [max(1, round(0.5 * side / grid.step_px)) for side in sizes.sides_px]
@@ -219,9 +224,8 @@ def _suspects(
         for part in np.ndindex(steps, steps):
             every = tuple(slice(first, None, steps) for first in part)
             if here[every].any():
-                suspects = outliers(
-                    vectors[every], candidates[every], settings.outlier_threshold, settings.outlier_epsilon_px
-                )
+                limits = settings.outlier_threshold, settings.outlier_epsilon_px
+                suspects = outliers(vectors[every], candidates[every], *limits, threads)
                 found[every] |= suspects & here[every]
     return found
 
