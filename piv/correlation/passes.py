@@ -225,8 +225,7 @@ def _suspects(
             every = tuple(slice(first, None, steps) for first in part)
             if here[every].any():
                 limits = settings.outlier_threshold, settings.outlier_epsilon_px
-                suspects = outliers(vectors[every], candidates[every], *limits, threads)
-                found[every] |= suspects & here[every]
+                found[every] |= here[every] & outliers(vectors[every], candidates[every], *limits, threads)
     return found
 
 

@@ -27,6 +27,7 @@ REPEATED = (
     "both frames are, pixel by pixel, those of an earlier pair: counted twice, they would make the mean too"
     " certain"
 )
+NO_BACKGROUND = "take the background off the frames of a series first (--prepare sliding-minimum)"
 AT_REST_PX = 0.15  # median length of valid vectors, below which nothing tells a fluid at rest from still light
 TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and more, strangers 0.3
 
@@ -186,12 +187,12 @@ class VectorField:
         if self.static_share > STATIC_SHARE:
             return (
                 f"{100.0 * self.static_share:.0f} % of the light does not move and draws every vector to zero;"
-                " take the background off the frames first"
+                f" {NO_BACKGROUND}"
             )
         if share and np.median(np.hypot(self.u_px, self.v_px)[self.valid]) < AT_REST_PX:
             return (
                 f"most vectors are shorter than {AT_REST_PX:g} px, as in a fluid at rest, and as still light that"
-                " outshines the particles makes them; if there is a flow, take the background off the frames first"
+                f" outshines the particles makes them; if there is a flow, {NO_BACKGROUND}"
             )
         if share >= TRUSTED_SHARE or not asked:
             return ""

@@ -48,7 +48,7 @@ def test_a_flow_that_seems_to_rest_is_said_to_look_like_still_light():
     """Vectors were zero and sure before a texture that outshines turbulence, without a word."""
     field = evaluate_pair(*scene("still, fine", "turbulence", 57101)[:2], threads=1)
     assert np.median(np.hypot(field.u_px, field.v_px)[field.valid]) < 0.1
-    assert "take the background off" in field.warning
+    assert "--prepare sliding-minimum" in field.warning
 
 
 @pytest.mark.parametrize("kind", slow_but(STILL))

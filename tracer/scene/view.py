@@ -103,8 +103,8 @@ def sheet_problem(camera: Camera, bodies: Sequence[Body], sheet: LightSheet) -> 
         for body in bodies:
             if body.distance_mm(apex_mm) < 0.0:
                 return (
-                    f"{who} starts inside body {body.name!r}; its fan_deg is that of width_mm at the origin:"
-                    " correct them"
+                    f"{who} starts {1.0 / source.bend_per_mm:.0f} mm from the origin, inside body {body.name!r},"
+                    " by its width_mm there and its fan_deg: correct either"
                 )
     return ""
 

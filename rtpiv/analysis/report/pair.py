@@ -264,8 +264,8 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
     use = "may be used" if is_plain(evaluation) else "are recovered"
     rule = (
         f"Windows of {evaluation.settings.windows_text}; {field.step_px} px apart. A window is masked if less "
-        f"than 30 % of its pixels {use} in both frames; replaced vectors are interpolated and count "
-        "nowhere as measured."
+        f"than 30 % of its pixels {use} in both frames; replaced vectors are interpolated, or hardly "
+        "known, and count nowhere as measured."
     )
     page.text(rule + (f" NaN pixels inside the mask, left out: {field.nan_pixels}." if field.nan_pixels else ""))
 

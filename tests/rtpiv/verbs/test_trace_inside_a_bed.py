@@ -185,7 +185,7 @@ TUBE = (
         (f"{BED}{BALL}\nsheet: {{{FROM_LEFT.replace('thickness_mm: 1.0, ', '')}}}\n", "and no thickness_mm"),
         (
             f"{BED}{BALL}\nsheet: {{z_mm: 60.0, {FROM_LEFT.replace('150.0', '2.0, fan_deg: 4.0')}}}\n",
-            "starts inside body 'whole'",
+            "inside body 'whole', by its width_mm",
         ),
     ],
 )
