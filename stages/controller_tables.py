@@ -76,7 +76,7 @@ class ForeignTable(Table):
         return self
 
     def problem(self, channels: set[str]) -> str | None:
-        """Say which of the channels that axes use cannot be."""
+        """Return a message on a channel of an axis that this controller does not have, or None."""
         return None
 
     @property
@@ -85,7 +85,7 @@ class ForeignTable(Table):
         return ()
 
     def lacks(self) -> str | None:
-        """Say what this computer lacks for it, as far as can be seen without loading anything."""
+        """Return what this computer lacks for it, as far as can be seen without loading anything, or None."""
         return None
 
 

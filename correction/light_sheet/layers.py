@@ -14,7 +14,7 @@ The model of a plane is
 
     background + light * sum over layers z of exp(-(z - height)^2 / (2 spread^2)) bells(z),
 
-shifted by some lags across D, which no height does.  Bells of pictures of other sizes than the two that were drawn
+shifted by a free number of pixels perpendicular to D = p_a - p_b (`double_views`), which no height causes.  Bells of pictures of other sizes than the two that were drawn
 are geometric means of these, as those of Gaussians are Gaussians.  Background and light are linear, the rest is
 found by least squares from the best of all heights; no peak has to stand out from what is beside it.
 """
@@ -93,11 +93,13 @@ def layers(scene: Scene, views: DoubleViews, reach_mm: float, particle_px2: floa
     """
     heights = np.linspace(-reach_mm, reach_mm, TRACED)
     count = len(views.kind)
+    # Four pixels stand for the picture of a particle in the first view.
     own = np.eye(2) * particle_px2 + views.spread_px2  # (N, 2 views, 2, 2)
     values, vectors = np.linalg.eigh(own[:, 0])
     arms = np.sqrt(2.0 * values)[:, None, :] * vectors
     around = np.stack([way * arms[:, :, k] for k in (0, 1) for way in (-1.0, 1.0)])  # (4, N, 2)
     first = (views.chief_px[:, 0] + around).reshape(-1, 2)
+    # Their rays take the branch of the chief ray, in both views, or do not count.
     chief = trace(scene, views.chief_px.reshape(-1, 2)).rays["key"].reshape(count, 2)
     keys = np.tile(chief, (4, 1))
     start = np.tile(views.chief_px[:, 1], (4, 1))
@@ -106,6 +108,7 @@ def layers(scene: Scene, views: DoubleViews, reach_mm: float, particle_px2: floa
     passed = np.where(through["key"] == keys[:, 0], through["transmittance"], 0.0)
     found, light = np.full((TRACED, 4 * count, 2), np.nan), np.zeros((TRACED, 4 * count))
     middle = TRACED // 2
+    # From the plane outwards to either side, as Newton's method starts where the heights before it point.
     for order in (range(middle, TRACED), range(middle, -1, -1)):
         guess, before = start, None
         for number in order:
@@ -120,6 +123,7 @@ def layers(scene: Scene, views: DoubleViews, reach_mm: float, particle_px2: floa
             light[number] = np.where(good, np.abs(large) * shown * passed, 0.0)
             ahead = at if before is None else 2.0 * at - before
             before, guess = at, np.where(good[:, None], ahead, guess)
+    # A bell has the mean and covariance of the four, each weighed by its light.
     offset = np.nan_to_num(found.reshape(TRACED, 4, count, 2) - views.chief_px[:, 1])
     share = light.reshape(TRACED, 4, count)
     total = share.sum(axis=1)

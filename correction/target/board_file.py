@@ -30,9 +30,9 @@
     dot_mm: 2.0                  # as measured
     marks_mm: {square: [-30.0, -5.0], triangle: [20.0, 5.0]}  # in the middle of four dots, from that at the origin
 
-A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured,
-it is 1 to half a per cent: what printers differ by; that of a plate to 0.01 %, as makers of plates say.  A bench
-names the file (`target: {board: board.yaml}`), a run keeps it.
+A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  If it
+is not measured, it is 1 with a standard uncertainty of 0.5 %, as printers differ; of a plate 0.01 %, as its makers
+state.  A bench names the file (`target: {board: board.yaml}`), a run keeps it.
 """
 
 from dataclasses import replace
@@ -158,10 +158,10 @@ class PrintedBoard(Table):
         if missing:
             raise ValueError(f"kind {self.kind} needs {', '.join(missing)}")
         if (self.levels is None) != (self.step_mm is None) or (self.levels is not None and self.kind != "dots"):
-            raise ValueError("a plate is of kind dots and says levels and step_mm, the way from one to the other")
+            raise ValueError("a plate with two levels needs kind: dots, levels, and step_mm, the distance between its levels")
         if self.step_sigma_mm is not None and self.levels is None:
             raise ValueError(
-                "step_sigma_mm is how well the step of a plate is known; say levels and step_mm as well"
+                "step_sigma_mm, the uncertainty of a plate's step, needs levels and step_mm"
             )
         if self.step_mm is not None and not 0.0 < abs(self.step_mm) <= DEEPEST * self._side_mm:
             raise ValueError(
@@ -169,7 +169,7 @@ class PrintedBoard(Table):
                 " oblique viewing"
             )
         if self.large_dots is not None and self.large_dot_mm is None:
-            raise ValueError("large_dots say which dots are large; say large_dot_mm, their diameter, as well")
+            raise ValueError("large_dots, the places of large dots, needs large_dot_mm, their diameter")
         marks = [self.large_dot_mm, self.marks_mm, self.missing_dots, self.origin_px]
         if sum(one is not None for one in marks) > (self.kind == "dots"):
             raise ValueError(
@@ -182,7 +182,7 @@ class PrintedBoard(Table):
             raise ValueError("layout is that of the markers of a charuco board; leave it out")
         if self.measured_mm is not None and self.bars_mm is None:
             raise ValueError(
-                "measured_mm says how long bars are on paper, so say bars_mm, how long they were drawn"
+                "measured_mm, the length of bars on paper, needs bars_mm, the length as drawn"
             )
         return self
 

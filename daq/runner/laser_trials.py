@@ -32,8 +32,8 @@ from stages.errors import StageError
 
 BURSTS = (1, 7, 20)
 FOUND_BY, OTHERS = 3, 5  # pulses of this plug alone, and of all others
-OFF_S = 0.3  # behind the word, after which no pulse may begin
-# More than that between the word and the end of OFF_S: the computer was too busy to time it
+OFF_S = 0.3  # after the stop command; then no pulse may begin
+# More than that between the command and the end of OFF_S: the computer was too busy to time it
 SLOW_S = 0.2
 CONFIRMED_S = 5.0  # until a box reads back as off
 LIT_S = 1.0  # of a burst before it is switched off; of lamps
@@ -379,7 +379,7 @@ class BoxTrials:
 
 
 def _at_most(what: str, pulses: int, otherwise: Trial | None) -> Judge:
-    """Judge a stretch that shows what is wrong, and not what is right."""
+    """Return a judge that fails a trial of more than `pulses` pulses, and else says `otherwise`."""
 
     def judge(seen: Stretch) -> Trial | None:
         return Trial(what, False, _of(seen, pulses)) if seen.pulses > pulses else otherwise

@@ -23,7 +23,7 @@ frame of all is a B.  A marker that calls it an A is wired wrongly, or the very 
 lost one by one and chunks are many, so a majority decides; where there is none in the end, the order is unknown,
 and the run ends with an error.  First frames say less: cameras skip them.
 
-**A marker that changes its mind half way** (`BrightnessSign`).  A and B differ a little in their mean brightness,
+**A marker that is inverted during a run** (`BrightnessSign`).  A and B differ a little in their mean brightness,
 by the other cavity or a longer exposure.  The sign of that difference is decided over `BLOCK` pairs and must never
 change.
 """
@@ -97,6 +97,7 @@ class PairFinder(Generic[T]):
     def add(self, meta: FrameMeta, item: T) -> tuple[T, T] | None:
         """Take the next frame; return the pair before it if that is sure now."""
         held, last = _Held(meta, item), self._last
+        # Without a time stamp nothing else can be asked; ids tell late frames and copies, which change no state.
         if self._section.effective_marker != "halves" and meta.timestamp_ns == 0:
             self._reject(held, NO_CLOCK)
             return None
@@ -107,6 +108,7 @@ class PairFinder(Generic[T]):
             self._reject(held, DOUBLED)
             self._last = meta
             return None
+        # Only a frame that is new counts for the period, and is asked for its marker.
         self._measure_period(meta)
         exposure, self._last = self._exposure(meta), meta
         if last is not None and meta.timestamp_ns < last.timestamp_ns:

@@ -44,7 +44,7 @@ class Sizes:
         return np.asarray(self.sides_px)[self.which]
 
     def pick(self, parts: list[NDArray[Any]]) -> NDArray[Any]:
-        """From arrays (ny, nx, ...) of every size what belongs to each node's own."""
+        """Choose from arrays (ny, nx, ...) of every size the values of each node's own size."""
         found = parts[0].copy()
         for number, part in enumerate(parts[1:], 1):
             found[self.which == number] = part[self.which == number]

@@ -124,12 +124,12 @@ def parser(said: Collection[str] | None = None) -> argparse.ArgumentParser:
     ArgumentParser
         With one subparser a verb.
     """
-    words = argparse.ArgumentParser(
+    root = argparse.ArgumentParser(
         prog="rtpiv", description=_listing(), formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    words.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="print the version")
-    _add_shared(words, None)
-    verbs = words.add_subparsers(dest="verb", metavar="VERB", help="one of these")
+    root.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="print the version")
+    _add_shared(root, None)
+    verbs = root.add_subparsers(dest="verb", metavar="VERB", help="one of these")
     for verb in VERBS:
         if verb in PARTS:
             about = help_of(verb)
@@ -140,7 +140,7 @@ def parser(said: Collection[str] | None = None) -> argparse.ArgumentParser:
                 _fill(parts.add_parser(part, help=help_of(part).replace("%", "%%")), part, f"{verb} {part}", said)
         else:
             _fill(verbs.add_parser(verb), verb, verb, said)
-    return words
+    return root
 
 
 def parser_of(command: str) -> argparse.ArgumentParser:

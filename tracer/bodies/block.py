@@ -164,7 +164,7 @@ class Block(Body):
     """
 
     Section: ClassVar[Any] = BoxSection | PrismSection
-    moves_no_ray: ClassVar[str] = "faces that show no corner of the board displace no ray"
+    undetermined_note: ClassVar[str] = "faces that show no corner of the board displace no ray"
 
     name: str
     profile_mm: Profile

@@ -146,7 +146,7 @@ class Body(ABC):
     name: str
     kind: ClassVar[str]
     Section: ClassVar[type[BodySection]]
-    moves_no_ray: ClassVar[str] = ""  # what no frame tells of such a body, in words
+    undetermined_note: ClassVar[str] = ""  # what frames do not determine of such a body
 
     @classmethod
     def among(cls, bodies: Iterable["Body"]) -> tuple[Self, ...]:

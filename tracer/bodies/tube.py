@@ -83,7 +83,7 @@ class Tube(Body):
 
     kind: ClassVar[str] = "tube"
     Section: ClassVar[type[BodySection]] = TubeSection
-    moves_no_ray: ClassVar[str] = "its place along its axis moves no ray"
+    undetermined_note: ClassVar[str] = "its place along its axis moves no ray"
 
     name: str
     start_mm: Vector3

@@ -124,7 +124,7 @@ def _walls_unknown(fit: SceneFit, unknown: set[str]) -> list[Weakness]:
         if names:
             text = f"{body.kind} {body.name}: {describe_numbers(fit, names)} known no better than before"
             why = "a camera a little elsewhere shows the same, and the map hardly depends on which"
-            still = f" ({body.moves_no_ray})" if body.moves_no_ray else ""
+            still = f" ({body.undetermined_note})" if body.undetermined_note else ""
             found.append(Weakness(names, f"{text}: {why}; its sigma holds the rest{still}; {WALL_CURE}"))
     return found
 

@@ -4,8 +4,8 @@ One ball that is seen badly, or stands elsewhere, is no reason to refuse all oth
 BRANCH_LIMIT of its corners are found is masked, and so is everything around a ball of which no way is confirmed:
 its outline in the frame, made wider by what is not known of its place.
 
-A few corners can be pleased by a wrong place: three numbers move a ball, and each corner is two.  A ball of which
-few are seen must therefore also stand where its own rim hides the lattice (`silhouettes`); if it does not, what is
+Few corners do not determine a position: a ball has three coordinates and each corner gives two equations, so that a
+wrong position may fit them.  A ball of which few are seen must therefore also stand where its own rim hides the lattice (`silhouettes`); if it does not, what is
 masked is around both places.
 """
 
@@ -44,7 +44,7 @@ class Unconfirmed:
         What no map is to use.
     rim_is_elsewhere : bool
         Whether it does not stand where its rim is seen.
-    rather : str
+    likely_identity : str
         What it seems to be, in a sentence (`seen_through`), if that is known.
     """
 
@@ -54,7 +54,7 @@ class Unconfirmed:
     is_ball: bool
     masked: tuple[MaskedPart, ...]
     rim_is_elsewhere: bool = False
-    rather: str = ""
+    likely_identity: str = ""
 
     @property
     def share(self) -> float:
@@ -66,8 +66,8 @@ class Unconfirmed:
         found = (
             f"{self.paired} of {self.expected} corners seen through `{self.name}` are where the scene shows them"
         )
-        if self.rather:
-            return f"{self.rather}; the ball is masked in every map"
+        if self.likely_identity:
+            return f"{self.likely_identity}; the ball is masked in every map"
         if self.rim_is_elsewhere:
             return (
                 f"`{self.name}` does not stand where its rim is seen, and no more than {self.paired} corners are"
