@@ -158,11 +158,11 @@ class PrintedBoard(Table):
         if missing:
             raise ValueError(f"kind {self.kind} needs {', '.join(missing)}")
         if (self.levels is None) != (self.step_mm is None) or (self.levels is not None and self.kind != "dots"):
-            raise ValueError("a plate with two levels needs kind: dots, levels, and step_mm, the distance between its levels")
-        if self.step_sigma_mm is not None and self.levels is None:
             raise ValueError(
-                "step_sigma_mm, the uncertainty of a plate's step, needs levels and step_mm"
+                "a plate with two levels needs kind: dots, levels, and step_mm, the distance between its levels"
             )
+        if self.step_sigma_mm is not None and self.levels is None:
+            raise ValueError("step_sigma_mm, the uncertainty of a plate's step, needs levels and step_mm")
         if self.step_mm is not None and not 0.0 < abs(self.step_mm) <= DEEPEST * self._side_mm:
             raise ValueError(
                 f"step_mm is not 0 and at most {DEEPEST:g} of pitch_mm; a deeper level is hidden at"
@@ -181,9 +181,7 @@ class PrintedBoard(Table):
         if self.layout is not None and self.kind != "charuco":
             raise ValueError("layout is that of the markers of a charuco board; leave it out")
         if self.measured_mm is not None and self.bars_mm is None:
-            raise ValueError(
-                "measured_mm, the length of bars on paper, needs bars_mm, the length as drawn"
-            )
+            raise ValueError("measured_mm, the length of bars on paper, needs bars_mm, the length as drawn")
         return self
 
     def board(self) -> Chessboard:

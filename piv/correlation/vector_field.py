@@ -185,7 +185,9 @@ class VectorField:
                 " more exact"
             )
         if np.isinf(self.stretch):
-            return f"light that does not move outshines the particles and draws every vector to zero; {NO_BACKGROUND}"
+            return (
+                f"light that does not move outshines the particles and draws every vector to zero; {NO_BACKGROUND}"
+            )
         if self.static_share > STATIC_SHARE:
             return (
                 f"{100.0 * self.static_share:.0f} % of the light does not move and draws every vector to zero;"

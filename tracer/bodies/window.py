@@ -83,7 +83,9 @@ class Window(Body):
 
     kind: ClassVar[str] = "window"
     Section: ClassVar[type[BodySection]] = WindowSection
-    undetermined_note: ClassVar[str] = "n and thickness count as one; between equal media its distance moves no ray"
+    undetermined_note: ClassVar[str] = (
+        "n and thickness count as one; between equal media its distance moves no ray"
+    )
 
     name: str
     centre_mm: Vector3
