@@ -14,8 +14,9 @@ The model of a plane is
 
     background + light * sum over layers z of exp(-(z - height)^2 / (2 spread^2)) bells(z),
 
-shifted by a free number of pixels perpendicular to D = p_a - p_b (`double_views`), which no height causes.  Bells of pictures of other sizes than the two that were drawn
-are geometric means of these, as those of Gaussians are Gaussians.  Background and light are linear, the rest is
+shifted by a free number of pixels perpendicular to D = p_a - p_b (`double_views`), which no height causes.  Bells
+of pictures of other sizes than the two that were drawn are geometric means of these, as those of Gaussians are
+Gaussians.  Background and light are linear, the rest is
 found by least squares from the best of all heights; no peak has to stand out from what is beside it.
 """
 

@@ -159,7 +159,7 @@ class PrintedBoard(Table):
             raise ValueError(f"kind {self.kind} needs {', '.join(missing)}")
         if (self.levels is None) != (self.step_mm is None) or (self.levels is not None and self.kind != "dots"):
             raise ValueError(
-                "a plate with two levels needs kind: dots, levels, and step_mm, the distance between its levels"
+                "a plate is of kind dots and needs levels and step_mm, the distance between its two levels"
             )
         if self.step_sigma_mm is not None and self.levels is None:
             raise ValueError("step_sigma_mm, the uncertainty of a plate's step, needs levels and step_mm")

@@ -3,7 +3,8 @@
 A channel is ``1``, ``2``, .. of a unit of its own, or ``bay1``, ``bay2``, .. of a rack. Positions are counts of an
 encoder or microsteps, so every channel needs steps_per_mm (34304 or 34555 counts/mm for MTS stages, 409600
 microsteps/mm for LTS150 and LTS300). Speeds and accelerations go in units of the box's family (`FAMILIES` of
-`stages.drivers.apt_questions`), which its model tells. A model that is not there is refused: a wrong unit means a wrong speed by a factor of fifty.
+`stages.drivers.apt_questions`), which its model tells. A model that is not there is refused: a wrong unit means a
+wrong speed by a factor of fifty.
 
 **Commands.** Nothing answers a command that moves, so a question for the state goes behind each in the same write:
 its answer says that the command was read. Automatic state messages that another program has asked for are
@@ -23,8 +24,8 @@ the next bytes for the rest of it, maybe of a target. So a program that opens th
 until the longest of our messages must have ended: what has begun by then ends at once.
 
 **Server alive.** Over USB a box that has not heard MOT_ACK_DCSTATUSUPDATE for a second falls silent after about
-fifty commands (APT protocol, issue 26, p. 30; one lab has not seen it). It is therefore sent before a query if
-the last one is older than `ALIVE_S`, and not while the box is idle.
+fifty commands (APT protocol, issue 26, p. 30; one lab has not seen it). It is therefore sent before a query if the
+last one is older than `ALIVE_S`, and not while the box is idle.
 
 **Stops.** A servo is stopped at once: its encoder goes on counting. A stepper that is stopped at once loses steps
 that is not counted, so it is stopped along its ramp. The box's own backlash correction would drive past the

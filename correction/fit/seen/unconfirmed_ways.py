@@ -4,9 +4,9 @@ One ball that is seen badly, or stands elsewhere, is no reason to refuse all oth
 BRANCH_LIMIT of its corners are found is masked, and so is everything around a ball of which no way is confirmed:
 its outline in the frame, made wider by what is not known of its place.
 
-Few corners do not determine a position: a ball has three coordinates and each corner gives two equations, so that a
-wrong position may fit them.  A ball of which few are seen must therefore also stand where its own rim hides the lattice (`silhouettes`); if it does not, what is
-masked is around both places.
+Few corners do not determine a position: a ball has three coordinates and each corner gives two equations, so that
+a wrong position may fit them.  A ball of which few are seen must therefore also stand where its own rim hides the
+lattice (`silhouettes`); if it does not, what is masked is around both places.
 """
 
 from collections.abc import Mapping

@@ -161,7 +161,7 @@ def test_a_board_file_says_levels_and_what_is_known_of_them():
         ({"step_mm": 0.0}, "step_mm is not 0"),
         ({"step_mm": -4.5}, "at most 0.8 of pitch_mm"),
         ({"levels": "diagonals"}, "rows"),
-        ({"levels": None, "step_mm": None, "step_sigma_mm": 0.1}, "step_sigma_mm is how well"),
+        ({"levels": None, "step_mm": None, "step_sigma_mm": 0.1}, "step_sigma_mm, the uncertainty"),
     ],
 )
 def test_a_board_file_that_is_no_plate_is_refused(wrong, words):

@@ -224,7 +224,7 @@ def test_a_board_file_without_large_dots_describes_a_grid_of_dots_that_are_all_a
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"large_dots": [[0, 0]]}, "say large_dot_mm"),
+        ({"large_dots": [[0, 0]]}, "needs large_dot_mm"),
         ({"large_dot_mm": LARGE_MM, "origin_px": [1.0, 2.0]}, "leave it out"),
     ],
     ids=str,
