@@ -22,7 +22,8 @@ from correction.fit.solve.unknowns import unit_of
 from correction.fitted.map_sigma import MapSigma
 from correction.maps.corrector import Corrector
 from rtpiv.analysis.digits import two_digits
-from rtpiv.analysis.through_glass import ThroughGlass, through_scene
+from rtpiv.analysis.gaps import Gaps, share_of_scene
+from rtpiv.analysis.through_glass import ThroughGlass
 
 HARMLESS_PX = 0.05  # of the map, at the median: correlated numbers move nothing that vectors would show
 Layers = tuple[tuple[str, str], ...]  # name and data address
@@ -80,9 +81,9 @@ class Calibration:
         return found
 
     @cached_property
-    def through(self) -> ThroughGlass | None:
-        """Share of the hidden plane that the fitted map recovers; None if nothing is hidden."""
-        return through_scene(self.fit.measured_scene)
+    def through(self) -> Gaps | ThroughGlass | None:
+        """Share of the gaps that is lit and seen in the sheet of a bed, else of what balls hide of the plane."""
+        return share_of_scene(self.fit.measured_scene)
 
     @property
     def percentiles(self) -> dict[str, dict[str, float]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from correction.maps.correction_map import CorrectionMap, nodes_in_glass
 from correction.maps.lit import PlaneLight, light_of
 from correction.masked import points_in
-from rtpiv.analysis.through_glass import SAID_PX, coarse_map, coarsen_scene, percent
+from rtpiv.analysis.through_glass import SAID_PX, ThroughGlass, coarse_map, coarsen_scene, percent, through_scene
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 
@@ -103,6 +103,18 @@ class Gaps:
             f"{begin} ({areas}): {percent(self.lit.lit_mm2 / self.gas_mm2)} is lit, {percent(self.share)} is seen;"
             f" {percent(self.glass)} is glass"
         )
+
+
+def share_of_scene(scene: Scene) -> Gaps | ThroughGlass | None:
+    """Measure what verbs begin with: the gaps in the sheet of a bed, else what is seen through glass.
+
+    None if nothing is hidden, or the view has no map.
+    """
+    try:
+        found = gaps_of_scene(scene.in_light_sheet())
+    except TracerError:  # `correct` reports it: the glass may stand elsewhere while the sheet is on
+        found = None
+    return found or through_scene(scene)
 
 
 def gaps_of_scene(scene: Scene) -> Gaps | None:

@@ -285,7 +285,7 @@ def run_pages(screen: Console, run: Run, live: bool) -> "Iterator[dict[str, RunS
         return
     from daq.live.live_page import BYTES_PER_PX, LivePage
     from daq.live.run_shown import RunShown
-    from rtpiv.analysis.through_glass import through_scene
+    from rtpiv.analysis.gaps import share_of_scene
     from tracer.scene.scene_file import load_scene
 
     further, shown = run.folder.cameras(), dict[str, RunShown]()
@@ -297,7 +297,7 @@ def run_pages(screen: Console, run: Run, live: bool) -> "Iterator[dict[str, RunS
             page = stack.enter_context(LivePage(BYTES_PER_PX * width * height, 0, scene, bench.board))
             whose = f" ({name})" if further else ""
             screen.print(f"look at {page.url}{whose}", soft_wrap=True, highlight=False)
-            through = through_scene(scene)
+            through = share_of_scene(scene)
             shown[name] = RunShown(page, run.folder, "" if through is None else through.sentence, name)
         yield shown
 

@@ -193,15 +193,15 @@ def _describe_board(path: Path) -> str:
 
 
 def _describe_view(scene: Scene) -> str:
-    """Return the share seen through glass, with advice where it is small."""
+    """Return the share seen through glass, with advice where it is small; inside a bed that of the gaps."""
     if not scene.bodies:
         return ""
-    from rtpiv.analysis.through_glass import through_scene  # compiled: checking a plan does not wait for it
+    from rtpiv.analysis.gaps import share_of_scene  # compiled: checking a plan does not wait for it
     from rtpiv.analysis.views.arranged import little
 
-    if (shown := through_scene(scene)) is None:
+    if (shown := share_of_scene(scene)) is None:
         return ""
-    return ". ".join(filter(None, (f"; {shown.sentence}", little(scene, shown.share))))
+    return ". ".join(filter(None, (f"; {shown.sentence}", little(scene, shown))))
 
 
 def _describe_scene(scene: Scene) -> str:

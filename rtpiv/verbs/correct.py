@@ -31,6 +31,7 @@ from ground.terminal import console, progress
 from piv.errors import FrameError
 from piv.files.frame_file import stem_of, write_frame
 from rtpiv.analysis.fit_beside import scene_sigma_beside
+from rtpiv.analysis.gaps import gaps_of_scene
 from rtpiv.analysis.pictures.drawing_process import drawing
 from rtpiv.analysis.recipe import CorrectionRecipe, Resampling
 from rtpiv.analysis.report.table import Table
@@ -202,7 +203,7 @@ def correct(
         summary["through_glass"] = None if shown_share is None else shown_share.share
         summary["target_errors"] = [error.to_dict() for error in errors]
         write_json(out / "correction.json", summary)
-        say_through(screen, shown_share, loaded)
+        say_through(screen, gaps_of_scene(loaded) or shown_share, loaded)
         _print(screen, loaded, dewarp, corrector, frames, errors)
         if fitted.sheet is not None:
             plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"

@@ -315,8 +315,7 @@ def _line(prompt: str) -> str:
 
 
 def _print(lab: Lab, folder: Path, lens: bool) -> None:
-    from rtpiv.analysis.gaps import gap_share
-    from rtpiv.analysis.through_glass import coarse_map, through_scene
+    from rtpiv.analysis.gaps import Gaps, share_of_scene
     from rtpiv.templates.files import scene_of
 
     screen, scene = console(), scene_of(lab)
@@ -331,15 +330,12 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     where = f"{BOARD}; print it with rtpiv setup target {BOARD}, or give the squares of yours with --square-mm"
     where = "square_mm of target in both bench files" if lab.square_mm else where
     screen.print(f"{board} ({where})", soft_wrap=True)
-    if lab.layers:
-        found = coarse_map(scene.in_light_sheet())
-        if (gaps := gap_share(scene.in_light_sheet(), found)) is not None:
-            screen.print(gaps.sentence, style="bold")
-    elif (shown := through_scene(scene)) is not None:
+    if (shown := share_of_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")
-        if warning := _too_little(lab, shown.share):
-            screen.print(warning, style="bold red", soft_wrap=True)
-        _print_others(lab, shown.share, lens)
+        if not isinstance(shown, Gaps):
+            if warning := _too_little(lab, shown.share):
+                screen.print(warning, style="bold red", soft_wrap=True)
+            _print_others(lab, shown.share, lens)
     screen.print(
         f"{', '.join(FILES)} are in {folder}, and pass `rtpiv check`. Next, in that folder:", soft_wrap=True
     )

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # printing a calibration must not import the evaluation of a 
     from rtpiv.analysis.calibration import Calibration
     from rtpiv.analysis.campaign.campaign_folder import RunStatus
     from rtpiv.analysis.campaign.campaign_plan import Forecast
+    from rtpiv.analysis.gaps import Gaps
     from rtpiv.analysis.pairs.evaluation import Evaluation
     from rtpiv.analysis.series.mean_flow import MeanFlow
     from rtpiv.analysis.series.run_series import Evaluated
@@ -27,24 +28,20 @@ SHOWN_REASONS = 10  # pairs that are named one by one
 
 def show_through(screen: Console, scene: "Scene") -> None:
     """Print the share seen through glass, or inside a bed that of the gaps which is lit and seen."""
-    from rtpiv.analysis.gaps import gaps_of_scene
-    from rtpiv.analysis.through_glass import through_scene
+    from rtpiv.analysis.gaps import share_of_scene
 
-    if (shown := gaps_of_scene(scene.in_light_sheet()) or through_scene(scene)) is not None:
+    if (shown := share_of_scene(scene)) is not None:
         screen.print(shown.sentence, style="bold")
 
 
-def say_through(screen: Console, shown: "ThroughGlass | None", scene: "Scene") -> None:
+def say_through(screen: Console, shown: "ThroughGlass | Gaps | None", scene: "Scene") -> None:
     """Print the share seen through glass, with advice where it is little; inside a bed that of the gaps."""
-    from rtpiv.analysis.gaps import gaps_of_scene
     from rtpiv.analysis.views.arranged import little
 
-    if (gaps := gaps_of_scene(scene)) is not None:
-        screen.print(gaps.sentence, style="bold")
-    if shown is None or gaps is not None:
+    if shown is None:
         return
     screen.print(shown.sentence, style="bold")
-    if advice := little(scene, shown.share):
+    if advice := little(scene, shown):
         screen.print(advice, style="bold red")
 
 

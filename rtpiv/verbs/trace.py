@@ -138,10 +138,7 @@ def trace(
         except SceneError:  # not in a row: the areas say it all
             view = None
         gaps = gap_share(loaded, seen, light)
-        if gaps is not None:
-            screen.print(gaps.sentence, style="bold")
-        else:
-            say_through(screen, share.through, loaded)
+        say_through(screen, gaps or share.through, loaded)
         screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
         if share.bodies:
             screen.print(_body_table(share))

@@ -284,5 +284,5 @@ def through_lead(page: Page, through: ThroughGlass | Gaps | None, scene: Scene, 
     ]
     name = f"{through.name} is seen through glass"
     page.lead(percent(through.share), Table(name, ("area of the plane", ""), rows))
-    if advice := little(scene, through.share):
+    if advice := little(scene, through):
         page.warning(advice)

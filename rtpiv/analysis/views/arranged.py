@@ -12,7 +12,8 @@ from functools import cache
 from typing import TypeVar
 
 from daq.errors import RunUsageError
-from rtpiv.analysis.through_glass import coarse_share, percent
+from rtpiv.analysis.gaps import Gaps
+from rtpiv.analysis.through_glass import ThroughGlass, coarse_share, percent
 from rtpiv.templates.arrangement import AIR_MM, ARRANGEMENTS, BEDS, most_balls
 from rtpiv.templates.files import scene_of
 from rtpiv.templates.lab import Lab
@@ -125,9 +126,9 @@ def offers(scene: Scene) -> list[Offer]:
     return found
 
 
-def little(scene: Scene, share: float) -> str:
-    """A sentence on what to change, where little of what the balls hide is shown; empty where enough is."""
-    if share >= LITTLE:
+def little(scene: Scene, shown: ThroughGlass | Gaps) -> str:
+    """A sentence on what to change, where little of what balls hide is shown; empty if enough is, and in beds."""
+    if isinstance(shown, Gaps) or shown.share >= LITTLE:
         return ""
     said = "; ".join(offer.sentence for offer in offers(scene))
     more = f" What would show more: {said}." if said else ""

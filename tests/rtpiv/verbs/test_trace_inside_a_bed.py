@@ -13,12 +13,11 @@ from daq.bench.scene_plausibility import scene_questions
 from daq.errors import RunUsageError
 from ground.errors import ConfigError
 from ground.terminal import console
-from rtpiv.analysis.gaps import gap_share
+from rtpiv.analysis.gaps import gap_share, share_of_scene
 from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.report.page import Page, through_lead
-from rtpiv.analysis.through_glass import through_scene
 from rtpiv.verbs.calibrate import calibrate
-from rtpiv.verbs.check import check
+from rtpiv.verbs.check import check, check_files
 from rtpiv.verbs.show import say_through, show_through
 from rtpiv.verbs.trace import trace
 from tests.correction.small_scenes import EXAMPLES
@@ -148,8 +147,9 @@ def test_verbs_of_vectors_begin_with_the_gaps_that_are_lit_and_seen(tmp_path, ca
     assert first is not None
     assert first[2] == "of the gaps is lit and seen"
     assert f"inside a bed: {first[1]} % of the gaps" in out
-    say_through(console(), through_scene(lit), lit)
+    say_through(console(), share_of_scene(scene), scene)
     assert capsys.readouterr().out == out
+    assert f"; {out.strip()}" in " ".join(check_files([tmp_path / "scene.yaml"])[0].said.split())
 
 
 def test_a_correction_leaves_the_dark_out(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from correction.maps.correction_map import build_correction_map
-from rtpiv.analysis.through_glass import coarse_share, through_glass
+from rtpiv.analysis.through_glass import ThroughGlass, coarse_share, through_glass
 from rtpiv.analysis.views import arranged
 from rtpiv.analysis.views.arranged import LITTLE, Offer, little, offers
 from tests.rtpiv.analysis.test_plane_share import scene_of
@@ -44,7 +44,7 @@ def test_what_is_offered_for_two_balls_of_two_glasses_beside_each_other_is_kept_
     by_mm = float(doubled.what.split()[9])
     followed = raised(scene.with_bodies([*scene.bodies, *more]), by_mm)
     assert share_of(followed) == pytest.approx(doubled.share, abs=0.02)
-    said = little(scene, now)
+    said = little(scene, ThroughGlass(1.0, now, "the balls"))
     assert moved.sentence in said
     assert doubled.sentence in said
 
@@ -70,7 +70,7 @@ def test_no_scene_is_traced_twice(monkeypatch):
 def test_nothing_is_said_where_enough_is_seen_or_nothing_hidden():
     pair = scene_of(*[Sphere(name, (0.0, 0.0, z), 20.0, CROWN) for name, z in (("a", 40.0), ("b", 80.01))])
     assert coarse_share(pair) > 0.8
-    assert little(pair, coarse_share(pair)) == ""
+    assert little(pair, ThroughGlass(1.0, coarse_share(pair), "the balls")) == ""
     assert offers(scene_of()) == []
     assert (
         Offer("the glass 3 mm nearer to the plane", 0.0425).sentence == "the glass 3 mm nearer to the plane: 4.2 %"
