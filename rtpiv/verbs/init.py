@@ -316,9 +316,9 @@ def _line(prompt: str) -> str:
 
 def _print(lab: Lab, folder: Path, lens: bool) -> None:
     from rtpiv.analysis.gaps import Gaps, share_of_scene
-    from rtpiv.templates.files import scene_of
+    from tracer.scene.scene_file import load_scene
 
-    screen, scene = console(), scene_of(lab)
+    screen = console()
     width, height = lab.field_mm
     span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
     sizes, glasses = (", ".join(dict.fromkeys(each)) for each in ([f"{d:g}" for d in lab.each_mm], lab.each_glass))
@@ -330,7 +330,7 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     where = f"{BOARD}; print it with rtpiv setup target {BOARD}, or give the squares of yours with --square-mm"
     where = "square_mm of target in both bench files" if lab.square_mm else where
     screen.print(f"{board} ({where})", soft_wrap=True)
-    if (shown := share_of_scene(scene)) is not None:
+    if (shown := share_of_scene(load_scene(folder / "scene.yaml"))) is not None:
         screen.print(shown.sentence, style="bold")
         if not isinstance(shown, Gaps):
             if warning := _too_little(lab, shown.share):

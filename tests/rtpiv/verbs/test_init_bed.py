@@ -21,9 +21,10 @@ from tracer.scene.scene_file import load_priors, load_scene
 @pytest.mark.parametrize(
     ("shape", "balls", "plane"), [("bcc", 22, 1.5), ("hcp", 17, 2.0), slow("bcc", 22, 1.0), slow("sc", 27, 1.3)]
 )
-def test_a_bed_of_layers_has_its_sheet_between_the_balls(tmp_path, shape, balls, plane):
+def test_a_bed_of_layers_has_its_sheet_between_the_balls(tmp_path, capsys, shape, balls, plane):
     bed = GivenLab(arrangement=shape, layers=3, plane=plane, ball_mm=30.0, lens_mm=16.0)
     init(tmp_path, bed, ask=False)
+    assert "of the gaps is lit and seen" in capsys.readouterr().out
     scene = load_scene(tmp_path / "scene.yaml")
     assert len(scene.bodies) == balls
     heights = sorted({ball.centre_mm[2] for ball in scene.spheres})
