@@ -1,6 +1,5 @@
 """`rtpiv trace`: ray-trace a scene: field of view, magnification, viewing slope, what is lost and why."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +22,7 @@ from rtpiv.analysis.report.table import Table
 from rtpiv.analysis.steepness import ShownSlant, Steepness
 from rtpiv.analysis.through_glass import BodyShare, PlaneShare, percent, plane_share
 from rtpiv.analysis.views.field_of_view import FieldOfView, field_of_view
-from rtpiv.analysis.views.sigma_forecast import CentreSigma, packing_forecast
+from rtpiv.analysis.views.sigma_forecast import packing_forecast
 from rtpiv.analysis.views.two_cameras import double_view_forecast, sentences_of, two_cameras
 from rtpiv.verbs.paths import Named
 from rtpiv.verbs.results import results_in
@@ -40,6 +39,8 @@ PICTURES = "rtpiv.analysis.pictures"
 DRAWN = ("plane.png", "camera_view.png", "light.png", "slant.png", "scene.png", "blur.png", "radial_curve.png")
 SHOWN_BODIES = 40
 LONGEST_BODY_NAME = 32
+# In contact: the time for the forecast of their centres grows with the cube of their number
+MOST_FORECAST_BALLS = 100
 # Corrected pixels between places that may be seen twice; 2 says the same in four times the time
 SHEET_STEP = 4
 
@@ -166,7 +167,7 @@ def trace(
                 for line in two_cameras(loaded, _in_bed(other)).sentences:
                     screen.print(line, soft_wrap=True)
             if not isinstance(scene, Scene) and (contact_mm := load_priors(scene).contact_mm) is not None:
-                screen.print(_packing_table(packing_forecast(given, contact_mm)))
+                screen.print(_packing_text(given, contact_mm), soft_wrap=True)
             del ray_map
             if pictures:
                 _draw_on_plane(draw, out, loaded, correction_map.grid, slant, blur)
@@ -180,9 +181,15 @@ def trace(
         return Traced(share, view, slant.steepness, forecast, tuple(out / name for name in names), gaps)
 
 
-def _packing_table(found: Sequence[CentreSigma]) -> Table:
-    """Expected uncertainty of the balls after a calibration, by what it goes by."""
+def _packing_text(scene: Scene, contact_mm: float) -> Table | str:
+    """Expected uncertainty of the balls after a calibration; a sentence if they are too many for a forecast."""
+    if len(scene.spheres) > MOST_FORECAST_BALLS:
+        return (
+            f"centres after a calibration are forecast for up to {MOST_FORECAST_BALLS} balls in contact, not for"
+            f" {len(scene.spheres)}: trace a part of the packing"
+        )
     columns = ("known by", "sideways, median", "worst", "along z, median", "worst")
+    found = packing_forecast(scene, contact_mm)
     rows = [(one.known_by, *(f"{mm:.3f}" for mm in (*one.sideways_mm, *one.along_mm))) for one in found]
     return Table("centres of balls after a calibration, standard deviation [mm]", columns, rows)
 

@@ -109,8 +109,11 @@ def bed(tmp_path, sheet, radius=R, height=0.0):
     return path
 
 
-def test_lit_and_seen_comes_first(tmp_path, capsys):
-    traced = trace(bed(tmp_path, FROM_LEFT), pictures=False)
+def test_lit_and_seen_comes_first(tmp_path, capsys, monkeypatch):
+    path = bed(tmp_path, FROM_LEFT)
+    path.write_text(path.read_text() + "fit: {contact_mm: 0.02}\n")
+    monkeypatch.setattr("rtpiv.verbs.trace.MOST_FORECAST_BALLS", 8)
+    traced = trace(path, pictures=False)
     lit = traced.gaps.lit
     assert 0.4 < lit.both_mm2 / traced.gaps.gas_mm2 < 0.8
     assert traced.share.areas_mm2[NodeStatus.DARK] > 100.0
@@ -120,6 +123,7 @@ def test_lit_and_seen_comes_first(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "of the gaps is lit and seen" in out
     assert "gas within 0.25 R of each ball" in out
+    assert "for up to 8 balls in contact, not for 9" in " ".join(out.split())
 
 
 def test_the_sheet_in_the_bed_is_shown_and_not_the_board(tmp_path, capsys):
