@@ -166,7 +166,7 @@ def ask_for(
     settings : CampaignSettings
         Scenes, size of the chunks, dewarp: what holds for these runs.
     used : CampaignFolder, optional
-        Whose checksums of foreign frames are taken over where files have not changed since.
+        Whose names of the same runs are kept, and checksums of foreign frames where files have not changed since.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def ask_for(
             raise PairError("what its camera looked through is not known", place=run, cure="give --scene")
         if settings.dt_us is None:
             raise PairError("the time between the frames of a pair is not known", place=run, cure="give --dt-us")
-    names = _names(runs)
+    names = _names(runs, used)
     for place, (name, run) in enumerate(zip(names, runs, strict=True)):
         out = folder.series(name).path
         try:
@@ -325,16 +325,27 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     )
 
 
-def _names(runs: Sequence[Path]) -> list[str]:
-    """A name for each run: that of its folder and further camera, with a number where several share it."""
+def _names(runs: Sequence[Path], used: CampaignFolder | None) -> list[str]:
+    """A name for each run: that of `used`, or of its folder and further camera, numbered where several share it.
+
+    Earlier versions named a further camera by its own folder alone; its finished chunks are found by that name.
+    """
+    try:
+        before = {run["path"]: run["name"] for run in used.about["runs"]} if used is not None else {}
+    except (RunUnsuitable, SeriesError):  # no campaign yet, or a damaged file
+        before = {}
+    kept = [before.get(os.path.realpath(run)) for run in runs]
     names: list[str] = []
-    for run in runs:
+    for run, known in zip(runs, kept, strict=True):
+        if known is not None:
+            names.append(known)
+            continue
         whole = "-".join(filter(None, (main_run(run).name, camera_of(run))))
         name, number = re.sub(r"[^\w.+-]+", "-", whole).strip("-."), 1
         if not name:
             raise RunUnsuitable(f"{run}: a run needs a folder with a name")
         own = name
-        while own in names:
+        while own in names or own in kept:
             number += 1
             own = f"{name}_{number}"
         names.append(own)

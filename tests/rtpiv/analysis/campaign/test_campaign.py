@@ -267,6 +267,20 @@ def test_further_cameras_are_averaged_among_themselves(tmp_path):
     np.testing.assert_array_equal(beside.mean.x_mm, merged.mean.x_mm)  # one grid: `mean --join` takes their series
 
 
+def test_a_campaign_keeps_the_names_it_began_with(tmp_path):
+    """Earlier versions named a further camera `side`, where it is `one-side` now: its chunks are found."""
+    runs = two_runs(tmp_path / "taken", (1, 1))
+    (runs[0] / "cameras").mkdir()
+    side = runs[1].rename(runs[0] / "cameras" / "side")
+    used, asked = planned(tmp_path / "used", [side], chunk=1), tmp_path / "again"
+    assert used.about["runs"][0]["name"] == "one-side"
+    file = used.path / "campaign.json"
+    file.write_text(file.read_text().replace('"one-side"', '"side"'))
+    choice = PivChoice(PivSettings(), None, OutOfPlane())
+    ask_for(CampaignFolder(asked), [runs[0], side], choice, CampaignSettings(), used)
+    assert [run["name"] for run in CampaignFolder(asked).about["runs"]] == ["one", "side"]
+
+
 def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
     """Ten pairs of one flow and six of one that is faster by 0.3 px."""
     one, two = two_runs(tmp_path / "same", (6, 6))
