@@ -85,13 +85,13 @@ def run_rows(
                 future.result()
 
 
-def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
+def run_parts(function: Callable[[T], object], parts: Iterable[T], threads: int | None = None) -> None:
     """Call ``function(part)`` for all parts on all cores, the first ones while later ones are still being made.
 
     Parts are made by the caller's own thread, only a few more than threads before one is done.  That thread also
     works on what no other has begun, and on the last: a single part is not handed over.
     """
-    threads = thread_count()
+    threads = threads or thread_count()
     waiting: deque[tuple[T, Future[object]]] = deque()
 
     def end_first() -> None:
@@ -123,7 +123,7 @@ def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
         wait([future for _, future in waiting])
 
 
-def map_parts(function: Callable[[T], R], parts: Iterable[T]) -> list[R]:
+def map_parts(function: Callable[[T], R], parts: Iterable[T], threads: int | None = None) -> list[R]:
     """Return ``function(part)`` of all parts, in their order, computed as `run_parts` does.
 
     Of several that fail the error of the first is raised, whatever the number of threads.
@@ -138,7 +138,7 @@ def map_parts(function: Callable[[T], R], parts: Iterable[T]) -> list[R]:
         except Exception as error:
             failed[number] = error
 
-    run_parts(keep, enumerate(parts))
+    run_parts(keep, enumerate(parts), threads)
     if failed:
         raise failed[min(failed)]
     return [found[number] for number in sorted(found)]

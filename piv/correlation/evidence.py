@@ -70,17 +70,15 @@ def is_supported_by_peak(
 def _in_rows(vectors: NDArray[np.float64], which: NDArray[np.bool_], near_px: float) -> NDArray[np.bool_]:
     """Those of `which` (ny, nx) that are one of three in a row of which the middle one is near both others."""
     found = np.zeros_like(which)
-    ny, nx = which.shape
+    rows, columns = np.nonzero(which)
+    known = np.full((which.shape[0] + 2, which.shape[1] + 2, 2), np.nan)
+    known[1:-1, 1:-1][which] = vectors[which]
     for j, i in ROWS_OF_THREE:
-        ends = [
-            (slice(k * j, ny - (2 - k) * j), slice(max(k * i, (k - 2) * i), nx + min(k * i, (k - 2) * i)))
-            for k in range(3)
-        ]
-        first, middle, last = (np.where(which[part][..., None], vectors[part], np.nan) for part in ends)
-        off_px = [np.linalg.norm(end - middle, axis=-1) for end in (first, last)]
+        ends = [known[rows + 1 + k * j, columns + 1 + k * i] for k in (-1, 1)]
+        off_px = [np.linalg.norm(end - vectors[rows, columns], axis=-1) for end in ends]
         agree = np.maximum(*off_px) <= near_px
-        for part in ends:
-            found[part] |= agree
+        for k in (-1, 0, 1):
+            found[rows[agree] + k * j, columns[agree] + k * i] = True
     return found
 
 

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from ground.blas import one_blas_thread
 from ground.memory import require_memory
+from ground.rows import map_parts
 from piv.correlation.common_light import (
     SUSPECT,
     CommonLight,
@@ -126,10 +127,8 @@ def evaluate_pair(
         BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"
     )
     frames, _, seen = check_frames(frame_a, frame_b, valid)
-    hot = hot_pixels(frames[0], frames[1], seen)
-    if still is None:
-        still = still_light([(frames[0], frames[1])], seen)
-    empty = empty_areas(frames[0], frames[1], seen)
+    hot, empty, *shown = _areas_apart(frames, seen, still is None, threads)
+    still = shown[0] if shown else still
     given = None if valid is None or valid.all() else valid
     if given is not None:
         usable = check_frames(frame_a, frame_b, None)[2]
@@ -167,6 +166,18 @@ def evaluate_pair(
         field = without_still(field, given, still, settings.min_valid)
     same = np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True)
     return replace(field, is_one_picture=same)
+
+
+def _areas_apart(
+    frames: tuple[NDArray[Any], ...], seen: NDArray[np.bool_], asks_still: bool, threads: int | None
+) -> list[NDArray[np.bool_] | None]:
+    """Hot pixels, areas without particles, and still light if asked: searches that do not need each other."""
+
+    def still_of_pair(a: NDArray[Any], b: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        return still_light([(a, b)], valid)
+
+    searches = (hot_pixels, empty_areas, still_of_pair)[: 2 + asks_still]
+    return map_parts(lambda search: search(frames[0], frames[1], seen), searches, threads)
 
 
 def _run_trials(
