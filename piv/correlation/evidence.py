@@ -74,9 +74,8 @@ def _in_rows(vectors: NDArray[np.float64], which: NDArray[np.bool_], near_px: fl
     known = np.full((which.shape[0] + 2, which.shape[1] + 2, 2), np.nan)
     known[1:-1, 1:-1][which] = vectors[which]
     for j, i in ROWS_OF_THREE:
-        ends = [known[rows + 1 + k * j, columns + 1 + k * i] for k in (-1, 1)]
-        off_px = [np.linalg.norm(end - vectors[rows, columns], axis=-1) for end in ends]
-        agree = np.maximum(*off_px) <= near_px
+        ends = np.stack([known[rows + 1 + k * j, columns + 1 + k * i] for k in (-1, 1)])
+        agree = (np.linalg.norm(ends - vectors[rows, columns], axis=-1) <= near_px).all(axis=0)
         for k in (-1, 0, 1):
             found[rows[agree] + k * j, columns[agree] + k * i] = True
     return found

@@ -29,6 +29,7 @@ Sign and axis conventions: see `piv.correlation.vector_field`.
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -127,15 +128,17 @@ def evaluate_pair(
         BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"
     )
     frames, _, seen = check_frames(frame_a, frame_b, valid)
-    hot, empty, *shown = _areas_apart(frames, seen, still is None, threads)
-    still = shown[0] if shown else still
+    both = frames[0], frames[1]
+    searches = [partial(search, *both, seen) for search in (hot_pixels, empty_areas)]
+    searches.append(partial(still_light, [both], seen) if still is None else partial(np.asarray, still))
+    hot, empty, still = map_parts(lambda search: search(), searches, threads)
     given = None if valid is None or valid.all() else valid
     if given is not None:
         usable = check_frames(frame_a, frame_b, None)[2]
         valid = with_clean_rim((frames[0], frames[1]), given, usable)
         leaking = light_beside((frames[0], frames[1]), given, usable)
         still = leaking if still is None else still | leaking
-    del frames, seen
+    del frames, both, seen, searches
     if still is not None:
         valid = ~still if valid is None else valid & ~still
     sides = list(settings.windows_px)
@@ -166,18 +169,6 @@ def evaluate_pair(
         field = without_still(field, given, still, settings.min_valid)
     same = np.array_equal(np.ma.getdata(frame_a), np.ma.getdata(frame_b), equal_nan=True)
     return replace(field, is_one_picture=same)
-
-
-def _areas_apart(
-    frames: tuple[NDArray[Any], ...], seen: NDArray[np.bool_], asks_still: bool, threads: int | None
-) -> list[NDArray[np.bool_] | None]:
-    """Hot pixels, areas without particles, and still light if asked: searches that do not need each other."""
-
-    def still_of_pair(a: NDArray[Any], b: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-        return still_light([(a, b)], valid)
-
-    searches = (hot_pixels, empty_areas, still_of_pair)[: 2 + asks_still]
-    return map_parts(lambda search: search(frames[0], frames[1], seen), searches, threads)
 
 
 def _run_trials(
