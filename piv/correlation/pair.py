@@ -72,7 +72,7 @@ from piv.preprocessing.empty_areas import empty_areas
 from piv.preprocessing.hot_pixels import hot_pixels
 from piv.preprocessing.still_light import light_beside, still_light, with_clean_rim
 
-BYTES_PER_PX = 40  # that all passes hold at most: 30, and 8 of a pair that may have light in common
+BYTES_PER_PX = 65  # of all passes at most, with two threads; 54 with one
 # Larger first windows are tried if few places have a vector, and kept if they find more
 MIN_VALID_SHARE = 0.8  # of the windows
 # Share with a vector, and without, over that of the usual windows
