@@ -14,8 +14,13 @@ logarithm of the wave number, the same in all directions, and the gain G of the 
 h half a window. Of high orders, since lower ones do not tell spectra apart that fall steeply. So D6/D4 around a
 place tells p, and with it D6 there tells M.
 
+**Where.** What is missed lies where a field is steep, as on a step between two streams: there even differences
+vanish, and are large at the nodes beside it. So the mean of D6^2 around a place, or D6^2 there if that is less, is
+shared out in proportion to the square of the first difference over a window.
+
 **Noise** is in differences as well, N^2, as correlation statistics expect it. It is taken off both; and of what is
-left, S = D^2 - N^2, the share S^2/(S^2 + N^2) counts, at the place and around it.
+left, S = D^2 - N^2, the share S^2/(S^2 + N^2) counts, at the place and around it. Beside a step windows hold two
+motions, which looks like noise: so N is that of the calmest third of the nodes that D6 is made of (`CALM`).
 
 Nothing in it is fitted to a flow. A spectrum that ends between one window and one and a half, as none of a fluid
 does, is said to miss what it does not have (ADR 41).
@@ -36,6 +41,7 @@ from piv.correlation.settings import PivSettings
 EXPONENTS = np.linspace(0.5, 8.0, 31)
 LONGEST, SHORTEST = 20.0, 0.25  # waves that are added up, in windows
 WAVES, DIRECTIONS = 64, 6  # of the sums; 160 and 12 change tables by 1 %
+CALM = 30.0  # percentile of noise; a step takes three rows of seven
 AROUND = 1.0  # of a window: standard deviation of what tells an exponent
 Floats = NDArray[np.float64]
 
@@ -88,7 +94,8 @@ def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
         By which windows.
     """
     orders = (6, how.half_window_steps), (4, 2 * how.half_window_steps)
-    tail, noise = tail_of(how, orders), np.square(one_px).mean(axis=-1)
+    tail, stencil = tail_of(how, orders), 6 * how.half_window_steps + 1
+    noise = scipy.ndimage.percentile_filter(np.square(one_px).mean(axis=-1), CALM, stencil, mode="nearest")
     sixth, fourth = (differences(vectors, order, apart) for order, apart in orders)
     by_chance = [np.square(growth) * noise for growth in tail.noise]
     reach = AROUND * how.side_px / how.step_px
@@ -102,9 +109,12 @@ def finer_px(vectors: Floats, one_px: Floats, how: Evaluated) -> Floats:
         for part in (sixth, by_chance[0])
     )
     left = np.maximum(here - chance, 0.0)
+    steep = differences(vectors, 1, 2 * how.half_window_steps)
+    spread, usual = (scipy.ndimage.gaussian_filter(part, reach, mode="nearest") for part in (left, steep))
+    there = np.minimum(left, spread) * steep / np.maximum(usual, 1e-30)
     around = scipy.ndimage.gaussian_filter(by_chance[0], reach, mode="nearest")
     share = clear_share(left, chance) * clear_share(flow, around)
-    found: Floats = np.exp(np.interp(exponent, EXPONENTS, np.log(tail.missed))) * np.sqrt(share * left)
+    found: Floats = np.exp(np.interp(exponent, EXPONENTS, np.log(tail.missed))) * np.sqrt(share * there)
     return found
 
 
@@ -115,9 +125,10 @@ def clear_share(flow: Floats, noise: Floats) -> Floats:
 
 
 def differences(vectors: Floats, order: int, apart: int) -> Floats:
-    """Mean square (ny, nx) of a component's differences of an even order over `apart` nodes, along both axes.
+    """Mean square (ny, nx) of a component's differences over `apart` nodes, along both axes.
 
-    Near an edge stands what is found farther inside; an axis that is too short has none.
+    `order` times `apart` is even, so that differences stand at nodes. Near an edge stands what is found farther
+    inside; an axis that is too short has none.
     """
     factors = [(-1) ** k * comb(order, k) for k in range(order + 1)]
     square, axes, reach = np.zeros(vectors.shape[:2]), 0, order * apart // 2

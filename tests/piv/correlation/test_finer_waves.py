@@ -66,3 +66,18 @@ def test_it_is_told_where_it_is():
 
 def test_too_few_vectors_say_nothing():
     assert not finer_px(np.ones((5, 4, 2)), np.zeros((5, 4, 2)), HOW).any()
+
+
+def test_what_a_step_hides_is_told_at_the_step():
+    """Even differences vanish in its middle, and windows with two motions look noisy."""
+    field = np.zeros((PIXELS, PIXELS, 2))
+    middle = MARGIN + 20 * STEP
+    field[middle:, :, 0], field[middle, :, 0] = 2.0, 1.0
+    vectors, _ = seen(field)
+    noise = np.full(vectors.shape, 0.01)
+    told = finer_px(vectors, noise, HOW).mean(axis=1)
+    assert told[20] > 0.1
+    assert told[20] > 1.5 * max(told[18], told[22])
+    assert told[[15, 25]].max() < 0.2 * told[20]
+    noise[19:22] = 0.4
+    np.testing.assert_allclose(finer_px(vectors, noise, HOW).mean(axis=1), told, rtol=1e-6)
