@@ -95,8 +95,12 @@ class Adjustment:
         return replace(frame.corners, whiten=whitening(frame.sigma_px, by_region(frame.behind, self.scales)))
 
     def rescale(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> None:
-        """Let the median residual of each region be what its sigmas say."""
-        factors = region_factors([frame.behind for frame in frames], [part.value for part in parts])
+        """Let the median residual of each region be what its sigmas say; those of a level in shadow are bounds."""
+        values = [
+            np.where(frame.in_shadow[:, None], np.nan, part.value)
+            for frame, part in zip(frames, parts, strict=True)
+        ]
+        factors = region_factors([frame.behind for frame in frames], values)
         self.scales = {region: scale * factors[region] for region, scale in self.scales.items()}
 
     def reprojection(

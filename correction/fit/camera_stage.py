@@ -32,6 +32,7 @@ from correction.fit.pose_stage import drop_other_boards, find_poses
 from correction.fit.progress import Progress
 from correction.fit.seen.measurement import (
     FLOOR_PX,
+    SHADOWED,
     MeasuredFrame,
     TargetFrame,
     bare_frame,
@@ -62,7 +63,6 @@ THROUGH_WALLS = 2  # times that corners of the bare target are measured again be
 COARSER = 4  # times that a view through walls is predicted coarser than frames
 LARGE_DEG = 30.0  # what a turn of the board is believed to be
 GRAIN_PX, STEEPEST = 1.0, 0.998  # smoothing against noise; quantile of slopes that is an edge's steepest
-SHADOWED = 2.0  # times as uncertain as dots of the face: shadows cut those of the lower level
 SHADOWS = (
     "dots of the lower level of the plate are seen aside of their places, as if shadows or walls of grooves cut"
     " them; light it along the grooves or from both sides, and turn it until no wall hides a dot from the camera"

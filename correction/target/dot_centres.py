@@ -2,13 +2,16 @@
 
 Around a dot, with d = x - p, L symmetric and q = |L d|, which is 1 on the rim of an ellipse:
 
-    I(x) = (A + B (1 + erf(z)) / 2) (1 + g . d0),       z = (1 - q) / |grad q| / (sqrt(2) s)
+    I(x) = (A + B (1 + erf(z)) / 2) (1 + g . d0) + h . d0,      z = (1 - q) / |grad q| / (sqrt(2) s)
 
 d0 from where the dot was looked for.  Ten numbers are free: p, L (three), the blur s, A, B, the slope g of the
-light. Pixels up to PAPER_MARGIN_PX beyond the rim are asked, none farther than half a pitch along either axis, so
-that no other dot is among them; least squares by Levenberg and Marquardt, all dots of a size at once.  The
-covariance of p is the sandwich of MacKinnon and White (HC3; J. Econometrics 29, 305 (1985)) with the residuals of
-the dot itself.  On a plate half of the width that a shadow takes from one side is added.
+light. On a plate with dark dots the slope h of what it reflects is free as well, which ink does not weaken, where
+they are of RESOLVED_PX or more: smaller ones tell it from their place too poorly.  Pixels up to PAPER_MARGIN_PX
+beyond the rim are asked, on staggered rows up to NEAR_WALLS_PX, or blurred edges of grooves pull the centre; none
+farther than half a pitch along either axis, so that no other dot is among them.  Least squares by Levenberg and
+Marquardt, all dots of a size at once.  The covariance of p is the sandwich of MacKinnon and White (HC3;
+J. Econometrics 29, 305 (1985)) with the residuals of the dot itself.  On a plate half of the width that a shadow
+takes from one side, or adds to it, is added.
 
 What is found is the centre of the picture of a dot, which is not the picture of its centre: bent glass, and
 perspective, shift it, and the fit takes that off from where rays of its rim land (`correction.fit.seen.dot_rims`).
@@ -31,8 +34,9 @@ from ground.rows import run_rows
 from tracer.board import Dots
 
 REACH, REACH_ON_PLATE = 0.5, 0.4  # pitches: half side of what is asked at most; walls stand between levels
-PAPER_MARGIN_PX = 4.0  # of paper around a dot that is asked
-DOT_NUMBERS = 10
+PAPER_MARGIN_PX, NEAR_WALLS_PX = 4.0, 3.0  # of paper around a dot that is asked
+DOT_NUMBERS, SHINE_NUMBERS = 10, 2
+RESOLVED_PX = 12.0  # diameter from which a dot tells the slope of a reflection from its place
 STEPS, SETTLED_PX = 30, 1e-3  # of the optimiser, and a step that no longer matters
 MIN_STEP_GAIN = 1e-3  # share of the squares that such a step may still save
 SHARPEST_PX, BLUNTEST_PX = 0.2, 8.0
@@ -80,12 +84,13 @@ def refine_dots(
         In the order of `start_px`; both blurs of a dot are one.
     """
     count, most = len(start_px), REACH_ON_PLATE if dots.levels else REACH
+    margin_px = NEAR_WALLS_PX if dots.levels == "staggered" else PAPER_MARGIN_PX
     out, verdict = np.full((count, 11), np.nan), np.full(count, int(CornerReason.SMALL), np.uint8)
     thin = half_widths_px(axes_px, np.full(count, most))
     asked = (
         np.isfinite(start_px).all(axis=1) & np.isfinite(axes_px).all(axis=(1, 2)) & (thin >= MIN_HALF_WINDOW_PX)
     )
-    reach = np.minimum(0.5 * share + PAPER_MARGIN_PX / np.linalg.norm(axes_px, axis=1).min(axis=1), most)
+    reach = np.minimum(0.5 * share + margin_px / np.linalg.norm(axes_px, axis=1).min(axis=1), most)
     extent = np.ceil(reach * np.abs(axes_px).sum(axis=2).max(axis=1, initial=0.0))
     order = np.flatnonzero(asked)
     order = order[np.argsort(extent[order], kind="stable")]
@@ -95,9 +100,7 @@ def refine_dots(
     def rows(first: int, last: int) -> None:
         for begin in range(first, last, DOTS_AT_ONCE):
             some = order[begin : min(begin + DOTS_AT_ONCE, last)]
-            batch = _Batch(pixels, usable, start_px[some], axes_px[some], share[some], reach[some])
-            if dots.levels == "staggered":
-                batch.ask_row()
+            batch = _Batch(pixels, usable, start_px[some], axes_px[some], share[some], reach[some], dots)
             out[some], verdict[some] = batch.fit(search.max_shift)
             if dots.levels:
                 shadow[some] = batch.shadow_covariance(out[some])
@@ -131,6 +134,7 @@ class _Batch:
         axes_px: NDArray[np.float64],
         share: NDArray[np.float64],
         reach: NDArray[np.float64],
+        dots: Dots,
     ) -> None:
         height, width = pixels.shape
         half = int(np.ceil((reach * np.abs(axes_px).sum(axis=2).max(axis=1)).max()))
@@ -144,19 +148,21 @@ class _Batch:
         place = np.einsum("nij,npj->npi", np.linalg.inv(axes_px), self.off)
         asked = (np.abs(place) <= reach[:, None, None]).all(axis=-1)
         clear = inside if usable.size == 1 else inside & (usable[v, u] > 0)
+        if dots.levels == "staggered":  # without walls around the dot's own row: i + j is 1 in the next one
+            asked &= np.abs(place.sum(axis=-1)) <= REACH_ON_PLATE
+            asked &= np.linalg.norm(place, axis=-1) <= reach[:, None]
         self.weight = (asked & clear).astype(np.float64)
         # The symmetric L that makes a circle of the dot as the axes M show it: (r^2 M M^T)^(-1/2), r = share / 2.
         shape = axes_px @ axes_px.transpose(0, 2, 1) * (0.5 * share)[:, None, None] ** 2
         values, vectors = np.linalg.eigh(shape)
         root = vectors / np.sqrt(values)[:, None, :] @ vectors.transpose(0, 2, 1)
-        self.free = np.zeros((len(start_px), DOT_NUMBERS))
+        self.free = np.zeros(
+            (len(start_px), DOT_NUMBERS + SHINE_NUMBERS * (bool(dots.levels) and not dots.bright))
+        )
+        self.resolved = share * np.linalg.norm(axes_px, axis=1).min(axis=1) >= RESOLVED_PX
         self.free[:, 2], self.free[:, 3], self.free[:, 4] = root[:, 0, 0], root[:, 0, 1], root[:, 1, 1]
         self.free[:, 5] = START_PX
-        self.inside, self.clear, self.place = inside, clear, place
-
-    def ask_row(self) -> None:
-        """Leave out what is not of the dot's own row, where rows are staggered: i + j is 1 in the next one."""
-        self.weight *= np.abs(self.place.sum(axis=-1)) <= REACH_ON_PLATE
+        self.inside, self.clear = inside, clear
 
     def fit(self, max_shift: float) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Return the rows (n, 11) that `refine_dots` keeps of each dot, and the outcome (n,)."""
@@ -168,7 +174,7 @@ class _Batch:
         best, normal, right = self._equations(self.free, going)[:3]
         for _ in range(STEPS):
             here, diagonal = self.free[going], np.maximum(np.einsum("nii->ni", normal[going]), 1e-12)
-            damped = normal[going] + np.eye(DOT_NUMBERS) * (damping[going, None] * diagonal)[:, None, :]
+            damped = normal[going] + np.eye(self.free.shape[1]) * (damping[going, None] * diagonal)[:, None, :]
             step = np.linalg.solve(damped, right[going, :, None])[..., 0]
             trial = here + step
             trial[:, 5] = np.clip(trial[:, 5], np.maximum(0.5 * here[:, 5], SHARPEST_PX), BLUNTEST_PX)
@@ -207,7 +213,8 @@ class _Batch:
         """Return uu, vv, uv (n, 3) [px^2] of shadows over one side of a dot, zero where it is as wide as expected.
 
         A dot is cut where it is narrower one way than the other, against the axes of the lattice; its centre is
-        then aside by half of the missing width.
+        then aside by half of the missing width.  Shadows widen dark dots and walls cut them,
+        so their way is open.
         """
         a, b, c = self.free[:, 2:5].T
         expected = self.axes * (0.5 * self.share)[:, None, None]
@@ -217,7 +224,10 @@ class _Batch:
         half = np.einsum("nij,nj->ni", expected, ways[:, 0]) * missing[:, None]
         noise = np.sqrt((out[:, 2] + out[:, 3]) / np.abs(np.linalg.det(expected)))
         half[~(missing > UNROUND + SURE_CUT * noise)] = 0.0
-        return np.stack((half[:, 0] ** 2, half[:, 1] ** 2, half[:, 0] * half[:, 1]), axis=-1)
+        covariance = np.stack((half[:, 0] ** 2, half[:, 1] ** 2, half[:, 0] * half[:, 1]), axis=-1)
+        dark = self.free[:, 7] < 0.0
+        covariance[dark] = (half[dark] ** 2).sum(axis=1)[:, None] * np.array((1.0, 1.0, 0.0))
+        return covariance
 
     def _start_levels(self) -> None:
         """Least-squares A and B for the start geometry."""
@@ -233,7 +243,7 @@ class _Batch:
     def _model(
         self, p: NDArray[np.float64], which: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Intensity (n, P) and its derivatives by the free numbers (n, P, DOT_NUMBERS) of some dots (n,)."""
+        """Intensity (n, P) and its derivatives by the free numbers (n, P, F) of some dots (n,)."""
         off = self.off[which]
         d = off - p[:, None, :2]
         x, y = d[..., 0], d[..., 1]
@@ -248,7 +258,7 @@ class _Batch:
         light = 1.0 + p[:, 8, None] * off[..., 0] + p[:, 9, None] * off[..., 1]
         level = dark + rise * inside
         edge = rise * light * np.exp(-np.minimum(z * z, 700.0)) / (np.sqrt(2.0 * np.pi) * blur)  # by the distance
-        by = np.empty((*q.shape, DOT_NUMBERS))
+        by = np.empty((*q.shape, p.shape[1]))
         by[..., 0], by[..., 1] = edge * sx / slope, edge * sy / slope
         by[..., 2] = -edge * lx * x / q / slope
         by[..., 3] = -edge * (lx * y + ly * x) / q / slope
@@ -256,7 +266,11 @@ class _Batch:
         by[..., 5] = -edge * z * np.sqrt(2.0)
         by[..., 6], by[..., 7] = light, inside * light
         by[..., 8], by[..., 9] = level * off[..., 0], level * off[..., 1]
-        return level * light, by
+        light_seen = level * light
+        if p.shape[1] > DOT_NUMBERS:
+            by[..., DOT_NUMBERS:] = off * self.resolved[which, None, None]
+            light_seen = light_seen + (off @ p[:, DOT_NUMBERS:, None])[..., 0]
+        return light_seen, by
 
     def _equations(
         self, p: NDArray[np.float64], which: NDArray[np.intp]
@@ -276,7 +290,7 @@ class _Batch:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Covariance of the centres (n, 2, 2) [px^2] from the residuals, and how many pixels each has (n,)."""
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-12))
-        scaled = normal / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(DOT_NUMBERS)
+        scaled = normal / scale[:, :, None] / scale[:, None, :] + 1e-9 * np.eye(self.free.shape[1])
         inverse = np.linalg.inv(scaled) / scale[:, :, None] / scale[:, None, :]
         reach = jacobian @ inverse
         leverage = np.einsum("npi,npi->np", reach, jacobian)

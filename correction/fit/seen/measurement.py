@@ -39,6 +39,7 @@ from tracer.strategies.sensitivity import TargetPose
 
 NOT_ASKED = (CornerReason.EDGE, CornerReason.MASKED, CornerReason.SMALL)  # no window, so nothing is lost
 MIN_REGION_CORNERS = 20  # corners from which a region's sigma can be judged
+SHADOWED = 2.0  # times as uncertain as dots of the face: shadows cut those of the lower level
 FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
 
 
@@ -160,6 +161,15 @@ class MeasuredFrame:
     def behind(self) -> NDArray[np.bool_]:
         """Corners seen through glass (N,)."""
         return np.asarray(self.branch_name != "")
+
+    @property
+    def in_shadow(self) -> NDArray[np.bool_]:
+        """Dots (N,) of a level of a plate that shadows make much less certain than those of the other one."""
+        deep, spread = self.corners.depth_mm != 0.0, np.linalg.norm(self.sigma_px, axis=1)
+        if not deep.any() or deep.all():
+            return np.zeros(len(self), bool)
+        lower, other = np.median(spread[deep]), np.median(spread[~deep])
+        return np.asarray(deep & (lower > SHADOWED * other) | ~deep & (other > SHADOWED * lower))
 
     def take(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
         """Return the frame with the chosen corners only."""

@@ -117,3 +117,19 @@ def test_a_dot_half_in_shadow_has_an_uncertainty_of_the_missing_width(cut):
         assert off[0] > 1.0
         assert sigma[0] < 2.0 * off[0]
         assert sigma[1] < 0.1
+
+
+@pytest.mark.parametrize("radius", [8.0, 16.0])
+def test_a_reflection_beside_a_dot_does_not_pull_its_centre(radius):
+    """It lies on ink and paper alike, and is weaker along a line that no axis of the plate has."""
+    pitch, at = 6.0 * radius, np.array((3.03, 3.01)) * radius
+    v, u = np.mgrid[: int(6 * radius), : int(6 * radius)].astype(float)
+    ink = scipy.special.ndtr((radius - np.hypot(u - at[0], v - at[1])) / 0.8)
+    frame = 180.0 - 150.0 * ink + 40.0 / radius * ((u - at[0]) - 0.5 * (v - at[1]))
+    frame += np.random.default_rng(2).normal(0.0, 1.0, frame.shape)
+    axes, share = np.diag((pitch, -pitch))[None], np.array([2.0 * radius / pitch])
+    dots = Dots(2.0, bright=False, levels="rows", step_mm=1.0)
+    words = axes, share, dots, np.ones((1, 1), np.uint8), CornerSearch()
+    fit = refine_dots(frame.astype(np.float32), np.rint(at)[None], *words)
+    assert (np.abs(fit.position_px[0] - at) < 4.0 * fit.sigma_px[0]).all()
+    assert fit.sigma_px.max() < 0.03
