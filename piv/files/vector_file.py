@@ -40,6 +40,7 @@ STANDARD_NAMES = {
     "x": "projection_x_coordinate", "y": "projection_y_coordinate", "t": "time", "chc": "validity_flag",
 }  # fmt: skip
 LONG_NAMES = {
+    "light_z": "height of the light over the plane, where the vectors are measured",
     "dxdz": "slope dX/dz of the rays at the plane", "dydz": "slope dY/dz of the rays at the plane",
     "slant_sigma_u": "standard uncertainty of u by the velocity through the sheet",
     "slant_sigma_v": "standard uncertainty of v by the velocity through the sheet",

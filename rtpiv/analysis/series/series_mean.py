@@ -106,11 +106,15 @@ def write_mean(view: SeriesView, mean: MeanFlow) -> None:
         "rtpiv_version": version("rtpiv"),
         **view.readings,
     }
-    write_statistics(view.folder / MEAN, mean_vectors(mean, said))
+    light, more = view.correction.light, dict[str, tuple[NDArray[Any], str]]()
+    if light is not None and light.is_bent:
+        places = np.stack(np.meshgrid(mean.x_mm, mean.y_mm), axis=-1)
+        more["light_z"] = light.height_where_lit(places), LENGTH
+    write_statistics(view.folder / MEAN, mean_vectors(mean, said, more))
 
 
 def mean_vectors(
-    mean: MeanFlow, about: Mapping[str, Any], more: Mapping[str, NDArray[Any]] | None = None
+    mean: MeanFlow, about: Mapping[str, Any], more: Mapping[str, tuple[NDArray[Any], str]] | None = None
 ) -> Vectors:
     """Statistics of a series as vectors of one time.
 
@@ -120,8 +124,8 @@ def mean_vectors(
         The statistics.
     about : dict
         Attributes.
-    more : mapping of str to ndarray, optional
-        Further numbers without a unit, (ny, nx).
+    more : mapping of str to (ndarray, str), optional
+        Further numbers (ny, nx) and their unit.
     """
     said: dict[str, Any] = {
         "delta_t": np.float64(mean.dt_s),
@@ -138,9 +142,8 @@ def mean_vectors(
     said |= mean.spheres or {}
     if mean.slope is not None:
         said["out_of_plane"] = mean.out_of_plane.sentence
-    beside = {name: (each, "1") for name, each in (more or {}).items()}
     said |= {} if mean.length == "mm" else {"length_unit": PIXELS}
-    named = _variables(mean) | beside
+    named = _variables(mean) | dict(more or {})
     named = named if mean.is_timed else without_time(named, mean.length)
     return _with_slope(_one_time(mean.x_mm, mean.y_mm, named, said | dict(about)), mean.slope)
 

@@ -49,10 +49,10 @@ def test_a_core_as_wide_as_a_window_is_kept_with_a_sigma_of_its_error(particle_p
 
 @pytest.mark.parametrize("jet", STEEP)
 def test_windows_of_its_own_keep_the_core_of_a_single_pair(particle_pair, jet):
-    """Vectors that are uncertain by a fifth of their length are left out there."""
+    """Vectors that are uncertain by a fifth of their length are left out: at edges of a flat core a quarter."""
     truth, off, sigma, valid = judged(particle_pair, jet, (3, 4), settings=FOUND_WINDOWS)
     core = np.linalg.norm(truth, axis=-1) > 1.0
-    assert valid[core].mean() > 0.75
+    assert valid[core].mean() > 0.7  # 0.75 before sigma was right on sharp steps
     assert np.mean(np.abs(off[core & valid]) > 4.0 * sigma[core & valid]) < 0.02
 
 

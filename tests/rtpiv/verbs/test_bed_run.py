@@ -100,6 +100,11 @@ def judge_bed(folder: Path) -> None:
     assert 0.63 < np.mean(np.abs(off) < sigma) < 0.76
     assert rms[:2].max() < 0.015
     assert rms[2] < 0.035
+    (series,) = folder.glob("runs/*plan-flow/series")
+    fields = read_vectors(series / "mean.nc").fields
+    height_mm = fields["light_z"][0][np.isfinite(fields["u"][0])]
+    assert np.isfinite(height_mm).mean() > 0.98
+    assert 0.1 < np.nanmax(np.abs(height_mm)) < 4.0
 
 
 @pytest.mark.slow
