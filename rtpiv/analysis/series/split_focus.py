@@ -95,7 +95,8 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
         about[f"{name}_scene_hash"] = each.scene.content_hash()
         about |= readings_attribute(each.about.get("readings", {}), name)
     about |= readings_attribute(merge_readings(each.about.get("readings", {}) for each in views.values()))
-    write_statistics(out / MEAN, mean_vectors(joined.mean, about, {"source": (joined.source.astype(np.int8), "1")}))
+    source = {"source": (joined.source.astype(np.int8), "1")}
+    write_statistics(out / MEAN, mean_vectors(joined.mean, about, source))
     return joined
 
 
