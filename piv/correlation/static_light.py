@@ -77,10 +77,6 @@ LONGER_PX = 0.15
 HIDDEN_EVIDENCE = 30.0
 HIDDEN_SHARE, HIDDEN_BLOCKS = 0.2, 2  # of the blocks; a single one among several may be chance
 HIDDEN_MEAN = 16.0  # evidence of all blocks; of fluids at rest the best trials have 8 by chance, with JPEG 14
-# Displacements at which the difference of frames at rest would be negative, by more than chance
-NEAREST_PX, FARTHEST_PX = 1.5, 12.0
-CHANCES = 8.0  # standard deviations
-SLOW_QUANTILE = 0.9  # of the lengths of vectors
 LEAST_KEPT = 0.9  # of the valid vectors
 STRETCH_LEFT = 0.2  # of a stretch before waves were damped: how well vectors are known afterwards
 
@@ -122,7 +118,7 @@ def stretch_of(pair: Pair, known: Known) -> Stretch | None:
     waves = _waves(pair, known)
     found = None if waves is None else _fit_stretch(waves)
     is_short = found is not None and found.factor > MOST_STRETCH
-    if not is_short and (_hides_flow(pair, known) or _rests_wrongly(pair, known)):
+    if not is_short and _hides_flow(pair, known):
         return Stretch(float("inf"), 1.0, None, True)
     return found
 
@@ -180,58 +176,6 @@ def _hides_flow(pair: Pair, known: Known) -> bool:
     sure = np.count_nonzero(evidence > HIDDEN_EVIDENCE)
     is_sure = sure >= max(min(HIDDEN_BLOCKS, len(found)), HIDDEN_SHARE * len(found))
     return bool(is_sure or (len(found) >= HIDDEN_BLOCKS and evidence.mean() > HIDDEN_MEAN))
-
-
-def _rests_wrongly(pair: Pair, known: Known) -> bool:
-    """Return whether something moves in a pair whose vectors seem to rest, whatever stands still there.
-
-    Light that stands still is not in a - b, whose autocorrelation is negative at the displacement d of what moves:
-
-        R(s) = 2 P(s) - P(s - d) - P(s + d) + C(s).
-
-    Particles that are lost or come in (C) have no such place. All light, moved by a little more than the vectors,
-    explains a part of it.
-    """
-    length_px = np.linalg.norm(known.vectors_px, axis=-1)
-    seen_px = length_px[np.isfinite(length_px)]
-    if not seen_px.size or np.median(seen_px) > LEAST_MOVED_PX:
-        return False
-    longest_px = LONGER * np.quantile(seen_px, SLOW_QUANTILE) + LONGER_PX
-    nodes = known.grid.y_px, known.grid.x_px
-
-    def rests(place: NDArray[np.int64]) -> bool:
-        """Return whether a block holds light only, and all vectors that it touches seem to rest: it has no jet."""
-        row, column = place
-        near = (abs(at - start - BLOCK_PX / 2) < BLOCK_PX for at, start in zip(nodes, place, strict=True))
-        moved_px = length_px[np.ix_(*near)]
-        block = pair.valid[row : row + BLOCK_PX, column : column + BLOCK_PX]
-        return bool(block.min() > 0.0 and moved_px.size and (moved_px < 2.0 * LEAST_MOVED_PX).all())
-
-    first = [np.arange(0, side - BLOCK_PX + 1, max(BLOCK_PX // 2, side // (2 * BLOCKS))) for side in pair.a.shape]
-    places = np.stack(np.meshgrid(*first, indexing="ij"), axis=-1).reshape(-1, 2)
-    blocks = [tuple(slice(start, start + BLOCK_PX) for start in place) for place in places if rests(place)]
-    if not blocks:
-        return False
-    shown, light = (
-        np.mean([_autocorrelation(part[block]) for block in blocks], axis=0) for part in (pair.a - pair.b, pair.a)
-    )
-    middle = BLOCK_PX // 2
-    place = np.indices(shown.shape) - float(middle)
-    away_px = np.linalg.norm(place, axis=0)
-    step = longest_px * place / np.maximum(away_px, 1.0) + middle
-    explained = 2.0 * light
-    for sign in (-1.0, 1.0):
-        explained -= scipy.ndimage.map_coordinates(light, sign * place + step, order=1)
-    near = (away_px > NEAREST_PX) & (away_px < FARTHEST_PX)
-    chance = shown[(away_px > FARTHEST_PX) & (away_px < middle)].std()
-    return bool((shown - np.minimum(explained, 0.0))[near].min() < -CHANCES * chance)
-
-
-def _autocorrelation(part: NDArray[np.float32]) -> Floats:
-    """Autocorrelation of a block, with no displacement in its middle."""
-    taper = np.hanning(BLOCK_PX + 2)[1:-1]
-    power = np.square(np.abs(scipy.fft.rfft2((part - part.mean()) * taper[:, None] * taper)))
-    return np.asarray(np.fft.fftshift(scipy.fft.irfft2(power, part.shape)), np.float64)
 
 
 def without_static_waves(pair: Pair, stretch: Stretch) -> Pair | None:
