@@ -213,8 +213,8 @@ class _Batch:
         """Return uu, vv, uv (n, 3) [px^2] of shadows over one side of a dot, zero where it is as wide as expected.
 
         A dot is cut where it is narrower one way than the other, against the axes of the lattice; its centre is
-        then aside by half of the missing width.  Shadows widen dark dots and walls cut them,
-        so their way is open.
+        then aside by half of the missing width.  Of dark dots this counts along both axes: shadows widen them, and
+        walls cut them.
         """
         a, b, c = self.free[:, 2:5].T
         expected = self.axes * (0.5 * self.share)[:, None, None]
@@ -266,11 +266,11 @@ class _Batch:
         by[..., 5] = -edge * z * np.sqrt(2.0)
         by[..., 6], by[..., 7] = light, inside * light
         by[..., 8], by[..., 9] = level * off[..., 0], level * off[..., 1]
-        light_seen = level * light
+        intensity = level * light
         if p.shape[1] > DOT_NUMBERS:
             by[..., DOT_NUMBERS:] = off * self.resolved[which, None, None]
-            light_seen = light_seen + (off @ p[:, DOT_NUMBERS:, None])[..., 0]
-        return light_seen, by
+            intensity += (off @ p[:, DOT_NUMBERS:, None])[..., 0]
+        return intensity, by
 
     def _equations(
         self, p: NDArray[np.float64], which: NDArray[np.intp]

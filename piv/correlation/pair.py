@@ -130,15 +130,17 @@ def evaluate_pair(
     frames, _, seen = check_frames(frame_a, frame_b, valid)
     both = frames[0], frames[1]
     searches = [partial(search, *both, seen) for search in (hot_pixels, empty_areas)]
-    searches.append(partial(still_light, [both], seen) if still is None else partial(np.asarray, still))
-    hot, empty, still = map_parts(lambda search: search(), searches, threads)
+    if still is None:
+        searches.append(partial(still_light, [both], seen))
+    hot, empty, *found = map_parts(lambda search: search(), searches, threads)
+    still = found[0] if found else still
     given = None if valid is None or valid.all() else valid
     if given is not None:
         usable = check_frames(frame_a, frame_b, None)[2]
         valid = with_clean_rim((frames[0], frames[1]), given, usable)
         leaking = light_beside((frames[0], frames[1]), given, usable)
         still = leaking if still is None else still | leaking
-    del frames, both, seen, searches
+    del frames, both, seen, searches, found
     if still is not None:
         valid = ~still if valid is None else valid & ~still
     sides = list(settings.windows_px)

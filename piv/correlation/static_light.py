@@ -170,11 +170,9 @@ def _hides_flow(pair: Pair, known: Known) -> bool:
         best = int(np.argmin(misfit[1:]))
         is_long = np.linalg.norm(TRIALS_PX[best]) > LONGER * length_px + LONGER_PX
         found.append(float(misfit[0] - misfit[1 + best]) if is_long else 0.0)
-    if not found:
-        return False
     evidence = np.array(found)
     sure = np.count_nonzero(evidence > HIDDEN_EVIDENCE)
-    is_sure = sure >= max(min(HIDDEN_BLOCKS, len(found)), HIDDEN_SHARE * len(found))
+    is_sure = sure >= max(min(HIDDEN_BLOCKS, len(found)), HIDDEN_SHARE * len(found), 1)
     return bool(is_sure or (len(found) >= HIDDEN_BLOCKS and evidence.mean() > HIDDEN_MEAN))
 
 
